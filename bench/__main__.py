@@ -1,4 +1,4 @@
-"""The command line: ``bench`` or ``python -m bench``.
+"""The command line: ``bench`` or ``python -m econgs_bench.bench``.
 
 Each command imports only what it needs: ``bench list`` starts without torch.
 
@@ -17,35 +17,35 @@ import sys
 from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn
 
-from reports.progress import watched
-from reports.schema import TABLES
-from reports.terminal import Terminal, terminal
-from reports.text import one_line
+from econgs_bench.reports.progress import watched
+from econgs_bench.reports.schema import TABLES
+from econgs_bench.reports.terminal import Terminal, terminal
+from econgs_bench.reports.text import one_line
 
 COMMANDS = {
-    "run": "bench.commands.run:run",
-    "plan": "bench.commands.run:plan",
-    "tune": "bench.commands.tune:tune",
-    "list": "bench.commands.lists:list_names",
-    "fetch": "bench.commands.fetch:fetch",
-    "doctor": "bench.commands.doctor:doctor",
-    "results": "bench.commands.results:results",
-    "report": "bench.commands.results:report",
-    "scenes": "bench.commands.scenes:scenes",
-    "render": "bench.commands.pictures:render",
-    "export": "bench.commands.export:export",
-    "score": "bench.commands.pictures:score",
-    "samples": "bench.commands.samples:samples",
-    "merge": "bench.commands.stores:merge",
-    "compare": "bench.commands.stores:compare",
-    "cache": "bench.commands.stores:cache",
-    "bundle": "bench.commands.stores:bundle",
-    "verify": "bench.commands.stores:verify",
-    "repair": "bench.commands.stores:repair",
-    "baseline": "bench.commands.gate:baseline",
-    "gate": "bench.commands.gate:gate",
-    "check-plugin": "bench.commands.check_plugin:check_plugin",
-    "new-method": "bench.commands.new_method:new_method",
+    "run": "econgs_bench.bench.commands.run:run",
+    "plan": "econgs_bench.bench.commands.run:plan",
+    "tune": "econgs_bench.bench.commands.tune:tune",
+    "list": "econgs_bench.bench.commands.lists:list_names",
+    "fetch": "econgs_bench.bench.commands.fetch:fetch",
+    "doctor": "econgs_bench.bench.commands.doctor:doctor",
+    "results": "econgs_bench.bench.commands.results:results",
+    "report": "econgs_bench.bench.commands.results:report",
+    "scenes": "econgs_bench.bench.commands.scenes:scenes",
+    "render": "econgs_bench.bench.commands.pictures:render",
+    "export": "econgs_bench.bench.commands.export:export",
+    "score": "econgs_bench.bench.commands.pictures:score",
+    "samples": "econgs_bench.bench.commands.samples:samples",
+    "merge": "econgs_bench.bench.commands.stores:merge",
+    "compare": "econgs_bench.bench.commands.stores:compare",
+    "cache": "econgs_bench.bench.commands.stores:cache",
+    "bundle": "econgs_bench.bench.commands.stores:bundle",
+    "verify": "econgs_bench.bench.commands.stores:verify",
+    "repair": "econgs_bench.bench.commands.stores:repair",
+    "baseline": "econgs_bench.bench.commands.gate:baseline",
+    "gate": "econgs_bench.bench.commands.gate:gate",
+    "check-plugin": "econgs_bench.bench.commands.check_plugin:check_plugin",
+    "new-method": "econgs_bench.bench.commands.new_method:new_method",
 }
 
 
@@ -66,7 +66,7 @@ def _run(arguments: Sequence[str] | None, streams: Terminal) -> int:
         parser().print_help()
         return 2
     options = parser().parse_args(_with_values(arguments))
-    from datasets.errors import DataError
+    from econgs_bench.datasets.errors import DataError
 
     module, _, function = COMMANDS[options.command].partition(":")
     try:

@@ -1,4 +1,4 @@
-"""The harness from Python; :mod:`bench` has all of these names, docs/guide/python.ipynb shows them."""
+"""The harness from Python; :mod:`.bench` has all of these names, docs/guide/python.ipynb shows them."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from datasets.catalogue import DatasetInfo, list_datasets
-from datasets.catalogue import open_dataset as _open
-from datasets.edits import Edit
-from datasets.errors import DataError
-from datasets.names import unknown
-from datasets.scene import RGB, Dataset
-from datasets.views import Split, ViewRequest, ViewSet
+from econgs_bench.datasets.catalogue import DatasetInfo, list_datasets
+from econgs_bench.datasets.catalogue import open_dataset as _open
+from econgs_bench.datasets.edits import Edit
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.names import unknown
+from econgs_bench.datasets.scene import RGB, Dataset
+from econgs_bench.datasets.views import Split, ViewRequest, ViewSet
 
 if TYPE_CHECKING:
     import numpy as np
     import pandas as pd
     from numpy.typing import NDArray
 
-    from datasets.camera import Camera
-    from methods.interface import Model
-    from reports.charts.chart import Chart
-    from reports.charts.report import Report
+    from econgs_bench.datasets.camera import Camera
+    from econgs_bench.methods.interface import Model
+    from econgs_bench.reports.charts.chart import Chart
+    from econgs_bench.reports.charts.report import Report
 
 __all__ = [
     "DataError", "Dataset", "DatasetInfo", "Drawing", "Edit", "Runs", "SavedModel", "ViewSet",
@@ -75,8 +75,8 @@ def render_views(
     Raises:
         DataError: no such scene, or the data cannot be read or rendered.
     """
-    from datasets.ground_truth.sampling import samples_of
-    from datasets.render_views import views_of
+    from econgs_bench.datasets.ground_truth.sampling import samples_of
+    from econgs_bench.datasets.render_views import views_of
 
     rays = samples_of(samples, "render_views")
     return views_of(dataset, scene, ViewRequest(split, count, count, *size, samples=rays), edit=edit)
@@ -94,7 +94,7 @@ def score_views(truth: ViewSet, views: ViewSet) -> pd.DataFrame:
     """
     import pandas as pd
 
-    from bench.metrics import evaluate
+    from econgs_bench.bench.metrics import evaluate
 
     back = truth.background
     rows = [
@@ -155,11 +155,11 @@ def run(
         DataError: the request or its input cannot be used.
         KeyboardInterrupt: Ctrl-C ended the run; the same call resumes it.
     """
-    from bench.display import Silence, make_display
-    from bench.experiment import execute
-    from bench.selection import Selection
-    from bench.suites import load_suite
-    from datasets.ground_truth.sampling import samples_of
+    from econgs_bench.bench.display import Silence, make_display
+    from econgs_bench.bench.experiment import execute
+    from econgs_bench.bench.selection import Selection
+    from econgs_bench.bench.suites import load_suite
+    from econgs_bench.datasets.ground_truth.sampling import samples_of
 
     selection = Selection(
         suite=load_suite(str(suite)),
@@ -198,7 +198,7 @@ class Drawing:
     @property
     def svg(self) -> str:
         """The SVG document."""
-        from reports.charts import svg
+        from econgs_bench.reports.charts import svg
 
         return svg.file(self._chart)
 
@@ -216,7 +216,7 @@ class Drawing:
         """
         import vl_convert
 
-        from reports.charts.files import pdf
+        from econgs_bench.reports.charts.files import pdf
 
         path = Path(path)
         writers: dict[str, Callable[[str], bytes]] = {
@@ -244,8 +244,8 @@ class Runs:
     """
 
     def __init__(self, path: _Path = "runs", *, plugins: Sequence[_Path] = ()) -> None:
-        from bench.plugins import plugin_folders
-        from bench.store import Store
+        from econgs_bench.bench.plugins import plugin_folders
+        from econgs_bench.bench.store import Store
 
         self._store = Store(Path(path))
         self._plugins = plugin_folders(map(str, plugins), self._store.root)
@@ -257,8 +257,8 @@ class Runs:
     @cached_property
     def tables(self) -> dict[str, pd.DataFrame]:
         """All tables of docs/reference/tables.md by name."""
-        from bench.tables import build_tables
-        from methods.registry import Registry
+        from econgs_bench.bench.tables import build_tables
+        from econgs_bench.methods.registry import Registry
 
         return build_tables(self._store, Registry(self._plugins).specs, write=False)
 
@@ -282,14 +282,14 @@ class Runs:
 
     @cached_property
     def _report(self) -> Report:
-        from reports.charts.report import Report
+        from econgs_bench.reports.charts.report import Report
 
         return Report(self.tables)
 
     @cached_property
     def charts(self) -> dict[str, Drawing]:
         """The charts of the report by name: "psnr-size", "rate-distortion", "anytime-psnr" and more."""
-        from reports.charts.sections import charts
+        from econgs_bench.reports.charts.sections import charts
 
         return {name: Drawing(name, chart) for name, chart in charts(self._report)}
 
@@ -302,7 +302,7 @@ class Runs:
         Returns:
             The page.
         """
-        from reports.page.document import write_report
+        from econgs_bench.reports.page.document import write_report
 
         path = self.path / "report.html" if page is None else Path(page)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -318,7 +318,7 @@ class Runs:
         Raises:
             DataError: there is no finished job of that name with a model, or it cannot be rendered here.
         """
-        from bench.saved import load
+        from econgs_bench.bench.saved import load
 
         return SavedModel(*load(self._store, job, self._plugins, device))
 
@@ -385,7 +385,7 @@ class SavedModel:
         """
         import numpy as np
 
-        from bench.jobs.measure import premultiplied
+        from econgs_bench.bench.jobs.measure import premultiplied
 
         back = truth.background
         pictures = [
@@ -400,7 +400,7 @@ class SavedModel:
         edit: Mapping[str, Edit] | None,
         background: RGB | None,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        from bench.saved import picture
+        from econgs_bench.bench.saved import picture
 
         names = list(self.scenes if scenes is None else scenes)
         for name in names:

@@ -26,17 +26,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bench.ladders import Ladder
-from bench.records import SCHEMA, Provenance, Record, hash_of
-from bench.rungs import FILE, ladders_of
-from bench.store import LONGEST, Store, read_record
-from bench.tables import stored_tables
-from bench.verification import Evidence, absences, contradictions
-from datasets.bounded import json_of, number_of_values, opened, room, values_room
-from datasets.errors import DataError
-from datasets.seals import SEALED_SINCE, is_sealed
-from reports.schema import joined
-from reports.tables.documents import to_csv
+from econgs_bench.bench.ladders import Ladder
+from econgs_bench.bench.records import SCHEMA, Provenance, Record, hash_of
+from econgs_bench.bench.rungs import FILE, ladders_of
+from econgs_bench.bench.store import LONGEST, Store, read_record
+from econgs_bench.bench.tables import stored_tables
+from econgs_bench.bench.verification import Evidence, absences, contradictions
+from econgs_bench.datasets.bounded import json_of, number_of_values, opened, room, values_room
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.seals import SEALED_SINCE, is_sealed
+from econgs_bench.reports.schema import joined
+from econgs_bench.reports.tables.documents import to_csv
 
 MANIFEST = "bundle.json"
 FORMAT = 1
@@ -136,7 +136,7 @@ def verdict(path: Path) -> Verdict:
 
     Every file is there with its hash and none besides; records are whole and their jobs' names follow from
     what they say they ran; records contradict neither themselves nor each other
-    (:mod:`bench.verification`); environments and tables follow from the records; models have the bytes that
+    (:mod:`.bench.verification`); environments and tables follow from the records; models have the bytes that
     were measured.
 
     Raises:
@@ -149,8 +149,8 @@ def verdict(path: Path) -> Verdict:
 def unpack(path: Path, folder: Path) -> Verdict:
     """Into a folder, file by file, as long as the files themselves hold; as :func:`verdict`.
 
-    Memory and time are bounded by the size of the bundle: its files may have :func:`~datasets.bounded.room`
-    bytes together, and its records :func:`~datasets.bounded.values_room` values.
+    Memory and time are bounded by the size of the bundle: its files may have :func:`~.datasets.bounded.room`
+    bytes together, and its records :func:`~.datasets.bounded.values_room` values.
     """
     try:
         size = path.stat().st_size

@@ -8,11 +8,11 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from bench.store import write_text
-from datasets.bounded import json_of
-from datasets.errors import DataError, text_of
-from datasets.seals import checksum, sealed, unsealed
-from methods.interface import Checkpoint
+from econgs_bench.bench.store import write_text
+from econgs_bench.datasets.bounded import json_of
+from econgs_bench.datasets.errors import DataError, text_of
+from econgs_bench.datasets.seals import checksum, sealed, unsealed
+from econgs_bench.methods.interface import Checkpoint
 
 VERSION = 2
 """Raised when a checkpoint of an earlier version could be misread."""

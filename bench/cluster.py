@@ -23,19 +23,19 @@ import dask
 from distributed import Client, Future, KilledWorker, LocalCluster
 from distributed.security import Security
 
-from bench.display import Display
-from bench.estimates import Past
-from bench.executor import Ending, Executor, Retry
-from bench.leases import Held
-from bench.limits import Limits, available_memory
-from bench.node import SLOT, Node, Order, Reply, run_order, stop_run, visible_record
-from bench.plan import Planner
-from bench.records import Job, Record
-from bench.runner import finish_dead
-from bench.store import Store
-from bench.timing import available_cores
-from bench.worker import GRACE_SECONDS, read_progress
-from datasets.errors import DataError
+from econgs_bench.bench.display import Display
+from econgs_bench.bench.estimates import Past
+from econgs_bench.bench.executor import Ending, Executor, Retry
+from econgs_bench.bench.leases import Held
+from econgs_bench.bench.limits import Limits, available_memory
+from econgs_bench.bench.node import SLOT, Node, Order, Reply, run_order, stop_run, visible_record
+from econgs_bench.bench.plan import Planner
+from econgs_bench.bench.records import Job, Record
+from econgs_bench.bench.runner import finish_dead
+from econgs_bench.bench.store import Store
+from econgs_bench.bench.timing import available_cores
+from econgs_bench.bench.worker import GRACE_SECONDS, read_progress
+from econgs_bench.datasets.errors import DataError
 
 POLL_SECONDS = 0.5
 LOOK_SECONDS = 1.0

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from reports.comparability import pair_differences
-from reports.schema import METRICS
-from reports.style import absent, label
-from reports.tables.protocols import by_scene_choice
+from econgs_bench.reports.comparability import pair_differences
+from econgs_bench.reports.schema import METRICS
+from econgs_bench.reports.style import absent, label
+from econgs_bench.reports.tables.protocols import by_scene_choice
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,7 +27,7 @@ def compared(first: pd.DataFrame, second: pd.DataFrame) -> pd.DataFrame:
         One row per experiment and metric: both means, mean difference (second - first) and its extremes, and
         ``views``, the number of common views on which both have the metric. Empty if the runs have no view in
         common. The attribute "views" of the frame counts all common views, "differences" has a line for each
-        experiment or metric that both have and that is not compared (:mod:`reports.comparability`).
+        experiment or metric that both have and that is not compared (:mod:`.reports.comparability`).
     """
     import pandas as pd
 

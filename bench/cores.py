@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from contextlib import ExitStack
 
-from bench.locks import locked
+from econgs_bench.bench.locks import locked
 
 
 def claim_cores(count: int, stack: ExitStack) -> set[int] | None:

@@ -6,8 +6,8 @@ import sys
 import time
 from typing import Any
 
-from bench.records import Job, Record
-from reports.text import one_line
+from econgs_bench.bench.records import Job, Record
+from econgs_bench.reports.text import one_line
 
 PLAIN_SECONDS = 10.0
 _CLOCK = 12
@@ -61,7 +61,7 @@ class LiveDisplay(Display):
     """One live line per running job (rich), a line that stays for each finished one."""
 
     def __init__(self) -> None:
-        from reports.terminal import console
+        from econgs_bench.reports.terminal import console
 
         super().__init__()
         self._console = console("stderr")

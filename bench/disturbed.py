@@ -1,11 +1,11 @@
-"""Jobs whose times were disturbed, by the rule of :mod:`reports.clocks`."""
+"""Jobs whose times were disturbed, by the rule of :mod:`.reports.clocks`."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
-from bench.lineage import Lineage
-from bench.records import Record
+from econgs_bench.bench.lineage import Lineage
+from econgs_bench.bench.records import Record
 
 
 def disturbed_jobs(records: Iterable[Record]) -> dict[str, str]:
@@ -14,10 +14,10 @@ def disturbed_jobs(records: Iterable[Record]) -> dict[str, str]:
     Args:
         records: of one store, which show how long the reference kernel takes on quiet machines.
     """
-    from bench.tables import stored_tables
-    from reports.clocks import Clocks
-    from reports.schema import joined
-    from reports.schema import records as records_of
+    from econgs_bench.bench.tables import stored_tables
+    from econgs_bench.reports.clocks import Clocks
+    from econgs_bench.reports.schema import joined
+    from econgs_bench.reports.schema import records as records_of
 
     lineage = Lineage(records)
     results = joined(stored_tables(lineage))["results"]

@@ -8,10 +8,10 @@ from dataclasses import fields, replace
 from itertools import cycle
 from typing import Any
 
-from datasets.colors import hex_color
-from datasets.edits import Edit
-from datasets.errors import DataError
-from datasets.names import unknown
+from econgs_bench.datasets.colors import hex_color
+from econgs_bench.datasets.edits import Edit
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.names import unknown
 
 KINDS = tuple(field.name for field in fields(Edit) if field.name != "transfer")
 """Edits that a text can write; a transfer function is none of them."""

@@ -9,8 +9,8 @@ from itertools import chain, islice
 from statistics import median
 from typing import Any
 
-from bench.records import Job, Record
-from bench.store import Store
+from econgs_bench.bench.records import Job, Record
+from econgs_bench.bench.store import Store
 
 _MEASURED = 9
 """Jobs whose folders are measured; more would only cost time."""

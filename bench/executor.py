@@ -11,16 +11,16 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
-from bench.display import Display
-from bench.estimates import Past
-from bench.leases import Held
-from bench.limits import Limit, Limits, finished_here
-from bench.plan import Planner
-from bench.records import Job, Record
-from bench.runner import POLL_SECONDS, Runner
-from bench.store import Store
-from bench.timing import available_cores
-from bench.worker import log_tail, now
+from econgs_bench.bench.display import Display
+from econgs_bench.bench.estimates import Past
+from econgs_bench.bench.leases import Held
+from econgs_bench.bench.limits import Limit, Limits, finished_here
+from econgs_bench.bench.plan import Planner
+from econgs_bench.bench.records import Job, Record
+from econgs_bench.bench.runner import POLL_SECONDS, Runner
+from econgs_bench.bench.store import Store
+from econgs_bench.bench.timing import available_cores
+from econgs_bench.bench.worker import log_tail, now
 
 _HANGUP = getattr(signal, "SIGHUP", None)
 """None on Windows."""
@@ -78,7 +78,7 @@ class Executor(ABC):
         display: shows progress.
         past: finished jobs, from which limits of time follow.
         retry: finished jobs that run again.
-        limits: of each job; default: those of :mod:`bench.limits`.
+        limits: of each job; default: those of :mod:`.bench.limits`.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class Executor(ABC):
         try:
             self._store.sweep()
             if self._retry == "busy":
-                from bench.disturbed import to_measure_again
+                from econgs_bench.bench.disturbed import to_measure_again
 
                 self._again = to_measure_again(self._store.records())
             with self._workers():

@@ -1,4 +1,4 @@
-"""One run of a selection into a store: what `bench run` and :func:`bench.api.run` have in common."""
+"""One run of a selection into a store: what `bench run` and :func:`.bench.api.run` have in common."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.locks import check_locks
-from bench.plan import Planner
-from bench.plugins import plugin_folders, remember, resolved
-from bench.rungs import remember as remember_ladders
-from bench.store import Store
-from datasets.errors import DataError
-from reports.progress import hushed, step
+from econgs_bench.bench.locks import check_locks
+from econgs_bench.bench.plan import Planner
+from econgs_bench.bench.plugins import plugin_folders, remember, resolved
+from econgs_bench.bench.rungs import remember as remember_ladders
+from econgs_bench.bench.store import Store
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.reports.progress import hushed, step
 
 if TYPE_CHECKING:
-    from bench.display import Display
-    from bench.executor import Executor, Outcome, Retry
-    from bench.limits import Limits
-    from bench.selection import Selection
+    from econgs_bench.bench.display import Display
+    from econgs_bench.bench.executor import Executor, Outcome, Retry
+    from econgs_bench.bench.limits import Limits
+    from econgs_bench.bench.selection import Selection
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def _executor(name: str, scheduler: str, workers: int | None) -> Callable[..., E
     Raises:
         DataError: its package is missing, or the choices do not go together.
     """
-    from bench.executor import LocalExecutor
+    from econgs_bench.bench.executor import LocalExecutor
 
     if name == "local":
         if scheduler or workers is not None:
@@ -129,7 +129,7 @@ def _executor(name: str, scheduler: str, workers: int | None) -> Callable[..., E
             "--workers", "are started on this machine alone", "Leave out --workers or --scheduler"
         )
     try:
-        from bench.cluster import Cluster, DaskExecutor
+        from econgs_bench.bench.cluster import Cluster, DaskExecutor
     except ModuleNotFoundError as error:
         raise DataError(
             "--executor dask", f"needs the package {error.name}", "pip install 'econgs-bench[cluster]'"
@@ -141,7 +141,7 @@ def _announce(planner: Planner, store: Store, display: Display) -> None:
     """Show a notice if ground truth that is still to be rendered will take the slow marcher."""
     pending = (job for job in planner.jobs(store) if job.kind == "views" and store.record(job.id) is None)
     if planner.renders and any(pending):
-        from datasets.render_views import slow_notice
+        from econgs_bench.datasets.render_views import slow_notice
 
         with suppress(DataError):  # the machine ended the trial: the views job tries again
             if notice := slow_notice():

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.lineage import Lineage
-from bench.records import Record, hash_of
-from bench.stress import part_of
+from econgs_bench.bench.lineage import Lineage
+from econgs_bench.bench.records import Record, hash_of
+from econgs_bench.bench.stress import part_of
 
 if TYPE_CHECKING:
-    from datasets.views import ViewSet
+    from econgs_bench.datasets.views import ViewSet
 
 TOLERANCE = 1e-3
 """Largest difference of two sketches whose pictures count as equal: a quarter of a step of 8 bits."""
@@ -111,7 +111,7 @@ def _agree(first: str, second: str) -> bool:
 
 def metric_versions(record: Record) -> dict[str, str]:
     """Metric -> version of a measurement; what older records do not name has version 1."""
-    from reports.schema import COVERAGE
+    from econgs_bench.reports.schema import COVERAGE
 
     if record.job.kind != "measure":
         return {}

@@ -12,21 +12,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.edits import edit_of, edits_of
-from bench.records import Request, hash_of
-from bench.stress import part_of, stress_of
-from bench.suites import ViewPreset
-from datasets.camera_paths import icosphere
-from datasets.catalogue.entries import built_in, own_files
-from datasets.edits import Edit, changes_transfer, edited
-from datasets.errors import DataError
-from datasets.ground_truth.model import MODEL_VERSION
-from datasets.readers.naming import split
-from datasets.render_views import Finer, finer_views, views_of, volume_digest
-from datasets.scene import Dataset
-from datasets.transfer import TransferFunction
-from datasets.unseen import transfer_distance
-from datasets.views import Split, ViewRequest, ViewSet
+from econgs_bench.bench.edits import edit_of, edits_of
+from econgs_bench.bench.records import Request, hash_of
+from econgs_bench.bench.stress import part_of, stress_of
+from econgs_bench.bench.suites import ViewPreset
+from econgs_bench.datasets.camera_paths import icosphere
+from econgs_bench.datasets.catalogue.entries import built_in, own_files
+from econgs_bench.datasets.edits import Edit, changes_transfer, edited
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.ground_truth.model import MODEL_VERSION
+from econgs_bench.datasets.readers.naming import split
+from econgs_bench.datasets.render_views import Finer, finer_views, views_of, volume_digest
+from econgs_bench.datasets.scene import Dataset
+from econgs_bench.datasets.transfer import TransferFunction
+from econgs_bench.datasets.unseen import transfer_distance
+from econgs_bench.datasets.views import Split, ViewRequest, ViewSet
 
 _BINS = 128  # of a recorded transfer function
 _IMAGES = {".png", ".json", ".ply"}
@@ -225,9 +225,9 @@ def view_request(request: Request, split: Split, stress: str = "") -> ViewReques
 
 def _native_size(folder: Path) -> tuple[int, int]:
     """Width and height of the first training picture."""
-    from datasets.cloud import warn_of_views
-    from datasets.png import open_picture
-    from datasets.posed_images import read_frames
+    from econgs_bench.datasets.cloud import warn_of_views
+    from econgs_bench.datasets.png import open_picture
+    from econgs_bench.datasets.posed_images import read_frames
 
     frames = read_frames(folder, "train")
     if not frames:
@@ -239,7 +239,7 @@ def _native_size(folder: Path) -> tuple[int, int]:
 
 
 def _folder_hash(folder: Path) -> str:
-    from datasets.posed_images import files
+    from econgs_bench.datasets.posed_images import files
 
     own = (p for p in folder.rglob("*") if p.suffix.lower() in _IMAGES and p.is_file())
     digest = hashlib.sha256()

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from bench.stress import part_of
-from datasets.errors import DataError
-from datasets.names import unknown
-from methods.options import label
+from econgs_bench.bench.stress import part_of
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.names import unknown
+from econgs_bench.methods.options import label
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,7 @@ class Rung:
     """One step of a ladder.
 
     Attributes:
-        stress: of its runs (:mod:`bench.stress`); "" is none.
+        stress: of its runs (:mod:`.bench.stress`); "" is none.
         scene: "dataset/scene" where the ladder's rungs are scenes; else "".
         options: method -> option -> value; other methods have no such rung.
     """

@@ -19,12 +19,12 @@ from pathlib import Path
 
 import psutil
 
-from bench.control_groups import memory_limit
-from bench.display import span
-from bench.estimates import Past
-from bench.records import Job, Record
-from bench.store import Store
-from methods.interface import MethodSpec
+from econgs_bench.bench.control_groups import memory_limit
+from econgs_bench.bench.display import span
+from econgs_bench.bench.estimates import Past
+from econgs_bench.bench.records import Job, Record
+from econgs_bench.bench.store import Store
+from econgs_bench.methods.interface import MethodSpec
 
 TIMES = 60.0
 LEAST_SECONDS = 1800.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from bench.records import Record
+from econgs_bench.bench.records import Record
 
 
 @dataclass(frozen=True)

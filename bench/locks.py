@@ -16,7 +16,7 @@ from pathlib import Path
 
 import psutil
 
-from datasets.errors import DataError
+from econgs_bench.datasets.errors import DataError
 
 _REMEDY = "Set BENCH_LOCKS to a folder of a disk of this machine that its users share"
 _POLL_SECONDS = 0.05

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from bench.records import LossPoint
+from econgs_bench.bench.records import LossPoint
 
 STRETCHES = 50
 """Number of stretches of a fit; the end of a stage also ends one."""

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from bench.locks import locked
-from bench.timing import lap_seconds
-from reports.clocks import BUSY
+from econgs_bench.bench.locks import locked
+from econgs_bench.bench.timing import lap_seconds
+from econgs_bench.reports.clocks import BUSY
 
 IDLE_SECONDS = 1.0
 """Time for which this process sleeps, so that all work is that of others."""
@@ -63,13 +63,13 @@ class Load:
 
     @property
     def busy(self) -> bool:
-        """Whether times measured now would be disturbed (:mod:`reports.clocks`)."""
+        """Whether times measured now would be disturbed (:mod:`.reports.clocks`)."""
         return self.locked or self.slowdown > BUSY
 
 
 def measure_load() -> Load:
     """Sleep, then run the reference kernel, each for a while; timed jobs of runs are not disturbed."""
-    from bench.timing import available_cores
+    from econgs_bench.bench.timing import available_cores
 
     cores = available_cores()
     foreign, users = _others(cores)

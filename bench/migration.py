@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from bench.records import SCHEMA, Job, Record, Value
+from econgs_bench.bench.records import SCHEMA, Job, Record, Value
 
 _KNOBS = ("rate_weight", "lambda", "lambda_e")
 """Rate knobs that need a fit for each value, of all methods of schema 2."""
 
 
 _PARTS_2 = "2026-11-28T09:25:51"
-"""When the parts of a frame got their second ruler (:data:`bench.timing.RULERS`), UTC."""
+"""When the parts of a frame got their second ruler (:data:`.bench.timing.RULERS`), UTC."""
 
 
 def migrated(record: Record) -> Record:

@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from bench.checkpoints import Damaged, read_checkpoint, write_checkpoint
-from bench.losses import LossCurve
-from bench.metrics.image import Pair, psnr, to_8bit
-from bench.records import CurvePoint
-from bench.timing import amid_seconds, worst_of
-from datasets.views import ViewSet
-from methods.interface import Checkpoint, Diverged, EstimatesBytes, Model
+from econgs_bench.bench.checkpoints import Damaged, read_checkpoint, write_checkpoint
+from econgs_bench.bench.losses import LossCurve
+from econgs_bench.bench.metrics.image import Pair, psnr, to_8bit
+from econgs_bench.bench.records import CurvePoint
+from econgs_bench.bench.timing import amid_seconds, worst_of
+from econgs_bench.datasets.views import ViewSet
+from econgs_bench.methods.interface import Checkpoint, Diverged, EstimatesBytes, Model
 
 CHECKPOINT_SECONDS = 30.0
 CURVE_POINTS = 8
@@ -62,7 +62,7 @@ class Progress:
 
 
 class FitMonitor:
-    """Implements :class:`methods.interface.Monitor`.
+    """Implements :class:`.methods.interface.Monitor`.
 
     The clocks of training (wall and processor time) run from :meth:`start` to :meth:`stop`, except inside
     :meth:`pause`; there the reference kernel runs. Moments of evaluation are even over the logarithm of the

@@ -19,15 +19,15 @@ from typing import Any
 import dask
 from distributed import Worker, WorkerPlugin, get_worker
 
-from bench.cores import claim_cores
-from bench.leases import Held
-from bench.limits import Limit, Limits
-from bench.records import Job, Record
-from bench.runner import Runner
-from bench.store import Store
-from bench.timing import available_cores
-from datasets.errors import DataError
-from methods.registry import Registry
+from econgs_bench.bench.cores import claim_cores
+from econgs_bench.bench.leases import Held
+from econgs_bench.bench.limits import Limit, Limits
+from econgs_bench.bench.records import Job, Record
+from econgs_bench.bench.runner import Runner
+from econgs_bench.bench.store import Store
+from econgs_bench.bench.timing import available_cores
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.methods.registry import Registry
 
 SLOT = "bench"
 """Resource of which every worker has one, and every job takes one."""

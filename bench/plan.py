@@ -13,21 +13,21 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any
 
-from bench.edits import edit_of, text_of
-from bench.metrics import METRICS
-from bench.records import Job, hash_of
-from bench.selection import Selection, Subset, subset_of_scene, subsets, usual_sources
-from bench.store import Store
-from bench.stress import part_of, stress_of
-from bench.suites import SAMPLED
-from bench.timing import RULERS
-from datasets.edits import changes_transfer
-from datasets.names import unknown
-from datasets.unseen import recipe
-from methods.interface import CLOUD_POINTS, MethodSpec
-from methods.options import ITERATIONS, SAMPLES, Settings, resolve
-from methods.registry import Registry
-from reports import schema
+from econgs_bench.bench.edits import edit_of, text_of
+from econgs_bench.bench.metrics import METRICS
+from econgs_bench.bench.records import Job, hash_of
+from econgs_bench.bench.selection import Selection, Subset, subset_of_scene, subsets, usual_sources
+from econgs_bench.bench.store import Store
+from econgs_bench.bench.stress import part_of, stress_of
+from econgs_bench.bench.suites import SAMPLED
+from econgs_bench.bench.timing import RULERS
+from econgs_bench.datasets.edits import changes_transfer
+from econgs_bench.datasets.names import unknown
+from econgs_bench.datasets.unseen import recipe
+from econgs_bench.methods.interface import CLOUD_POINTS, MethodSpec
+from econgs_bench.methods.options import ITERATIONS, SAMPLES, Settings, resolve
+from econgs_bench.methods.registry import Registry
+from econgs_bench.reports import schema
 
 
 class Planner:
@@ -209,8 +209,8 @@ class Planner:
 
     def _repeats(self, jobs: list[Job], store: Store) -> Iterator[Job]:
         """Rungs on which a method breaks, and the first rungs beside them, with further seeds."""
-        from bench.tables import rungs_table
-        from reports.tables.ladders import ladders
+        from econgs_bench.bench.tables import rungs_table
+        from econgs_bench.reports.tables.ladders import ladders
 
         records = [store.record(job.id) for job in jobs if job.kind == "measure"]
         done = [record for record in records if record is not None]

@@ -18,9 +18,9 @@ from typing import Any
 
 from platformdirs import user_state_path
 
-from bench.store import Store, write_text
-from datasets.errors import DataError
-from methods.registry import Registry
+from econgs_bench.bench.store import Store, write_text
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.methods.registry import Registry
 
 ID = "id"
 """File of a store with its id; bundles and merges leave it behind."""

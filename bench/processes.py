@@ -1,9 +1,9 @@
 """The processes of workers: interpreters of their own, or forks of a server that has torch imported.
 
-A fork spares a job the import of torch (1.5 s). Run as ``python -m bench.processes FD``, this module is the
-server. It imports torch and the harness and does nothing else: workers import the methods. An operation on
-tensors would start threads that a fork does not inherit, and the first such operation of a worker would wait
-for them forever.
+A fork spares a job the import of torch (1.5 s). Run as ``python -m econgs_bench.bench.processes FD``, this
+module is the server. It imports torch and the harness and does nothing else: workers import the methods. An
+operation on tensors would start threads that a fork does not inherit, and the first such operation of a
+worker would wait for them forever.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from typing import IO
 
 import psutil
 
-MODULES = ("torch", "scipy.spatial", "bench.worker", "bench.provenance")
+MODULES = ("torch", "scipy.spatial", "econgs_bench.bench.worker", "econgs_bench.bench.provenance")
 """What every job with torch imports, so that a fork takes no more memory than an interpreter of its own."""
-SERVER = "bench.processes"
+SERVER = "econgs_bench.bench.processes"
 _POLL_SECONDS = 0.02
 _LAST_SECONDS = 0.5
 _SWEEPS = 20
@@ -93,7 +93,9 @@ class Processes:
         self._connection: socket.socket | None = None
         self._before: set[int] = set()
 
-    def start(self, folder: Path, log: IO[bytes], module: str = "bench.worker") -> subprocess.Popen[bytes]:
+    def start(
+        self, folder: Path, log: IO[bytes], module: str = "econgs_bench.bench.worker"
+    ) -> subprocess.Popen[bytes]:
         """A worker in an interpreter of its own, which writes to ``log``."""
         return self._launch(module, str(folder), output=log)
 
@@ -265,7 +267,7 @@ def main() -> int:
     folder = serve(socket.socket(fileno=int(sys.argv[1])))
     if folder is None:
         return 0
-    from bench import worker
+    from econgs_bench.bench import worker
 
     worker.end(worker.main(folder))
 

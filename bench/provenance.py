@@ -16,9 +16,9 @@ from pathlib import Path
 
 import psutil
 
-from bench.records import Provenance
-from bench.timing import available_cores
-from methods.interface import MethodSpec
+from econgs_bench.bench.records import Provenance
+from econgs_bench.bench.timing import available_cores
+from econgs_bench.methods.interface import MethodSpec
 
 PACKAGES = (
     "econgs-bench", "numpy", "scipy", "torch", "gsplat", "mitsuba", "drjit", "scikit-image", "lpips",
@@ -90,7 +90,7 @@ def imports_torch(*modules: str) -> bool:
 
 def native_isa() -> str | None:
     """Instruction set of the native core, if this process has loaded it."""
-    native = sys.modules.get("econgs._native")
+    native = sys.modules.get("econgs_bench.econgs._native")
     return str(native.isa()) if native is not None else None
 
 

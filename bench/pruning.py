@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from bench.metrics import evaluate
-from bench.monitor import as_numpy
-from bench.records import PruningResult
-from econgs.splat import rasterise
-from econgs.splat.composite import over
-from econgs.splat.weights import blending_weights
-from methods.interface import HasGaussians
-from reports.schema import PRUNED
+from econgs_bench.bench.metrics import evaluate
+from econgs_bench.bench.monitor import as_numpy
+from econgs_bench.bench.records import PruningResult
+from econgs_bench.econgs.splat import rasterise
+from econgs_bench.econgs.splat.composite import over
+from econgs_bench.econgs.splat.weights import blending_weights
+from econgs_bench.methods.interface import HasGaussians
+from econgs_bench.reports.schema import PRUNED
 
 if TYPE_CHECKING:
-    from datasets.camera import Camera
-    from datasets.views import ViewSet
+    from econgs_bench.datasets.camera import Camera
+    from econgs_bench.datasets.views import ViewSet
 
 _STEPS = 1024
 """A share is found to 1 / so many."""

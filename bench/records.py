@@ -9,12 +9,12 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from bench.suites import SAMPLED
+from econgs_bench.bench.suites import SAMPLED
 
 SCHEMA = 3
 """Raised when a record of an older store could be misread."""
 READABLE = (2, SCHEMA)
-"""Schemas that :mod:`bench.migration` reads."""
+"""Schemas that :mod:`.bench.migration` reads."""
 
 Kind = Literal["views", "dvr", "complexity", "partition", "fit", "encode", "measure"]
 Status = Literal["ok", "failed", "oom", "timeout", "diverged", "refused"]
@@ -69,7 +69,7 @@ class Job(_Model):
             scenes in turn, as "opacity=0.5 | opacity=2".
         recipe: scenes whose models are rendered together for a basic scene, and the edit of each, where a
             method cannot make the edit (measure only); empty: it makes the edit.
-        stress: harder conditions that decide the job (:mod:`bench.stress`), as "noise=8"; of measure, all
+        stress: harder conditions that decide the job (:mod:`.bench.stress`), as "noise=8"; of measure, all
             that decide the jobs before it as well.
         group: label of the scenes that were fitted together; labels of several groups (measure of a
             composition) are joined by commas.
@@ -216,22 +216,22 @@ class LossPoint(_Model):
 
 
 class ViewsResult(_Model):
-    """What :mod:`bench.jobs.truth` stored.
+    """What :mod:`.bench.jobs.truth` stored.
 
     Attributes:
         view_keys: split -> content hash of its views.
         truth: the measured split -> PNG file names, in the order of its cameras.
         render_seconds: time that this job waited for the views.
-        cost: split -> cost of rendering its views (:attr:`datasets.views.ViewSet.cost`), renderer and
+        cost: split -> cost of rendering its views (:attr:`.datasets.views.ViewSet.cost`), renderer and
             version among it; empty for pre-rendered views.
         distance: distance in [0, 1] of the transfer functions from those before the edit
-            (:func:`datasets.unseen.transfer_distance`); None without an edit of them.
-        transfer: part -> its transfer function and isosurfaces (:func:`bench.inputs.transfer_summary`);
+            (:func:`.datasets.unseen.transfer_distance`); None without an edit of them.
+        transfer: part -> its transfer function and isosurfaces (:func:`.bench.inputs.transfer_summary`);
             empty for pre-rendered views.
         variable: what a basic scene shows; "" for others.
         cloud_seconds: from the volume in memory to the candidates of initial clouds; None without a volume.
         floor: metric -> what the truth itself reaches against the same views rendered with other, more rays
-            (:func:`datasets.render_views.finer_views`), mean over some of the measured views; empty for
+            (:func:`.datasets.render_views.finer_views`), mean over some of the measured views; empty for
             pre-rendered views and in older records.
         one_ray: metric -> what one ray a pixel reaches against these.
         floor_seconds: time that this took.
@@ -262,7 +262,7 @@ class FrameTimes(_Model):
         reference_seconds: mean of the reference kernel's times before and after; None without native core.
         reference_worst: the longest of its times before, amid and after the timed frames; None in older
             records.
-        ruler: version of how frames are timed (:data:`bench.timing.RULERS`).
+        ruler: version of how frames are timed (:data:`.bench.timing.RULERS`).
     """
 
     frame_seconds: float
@@ -370,7 +370,7 @@ class PruningResult(_Model):
 
     Attributes:
         gaussians: those that any training view splats.
-        shares: column of :data:`reports.schema.PRUNED` -> share of them that can go.
+        shares: column of :data:`.reports.schema.PRUNED` -> share of them that can go.
     """
 
     gaussians: Count
@@ -382,16 +382,16 @@ class MeasureResult(FrameTimes):
 
     Attributes:
         missing: metric -> why it could not be computed.
-        flicker: see :class:`bench.metrics.flicker.Flicker`; None where views are not neighbouring frames.
+        flicker: see :class:`.bench.metrics.flicker.Flicker`; None where views are not neighbouring frames.
         features: attribute -> rows of some primitives; empty if the method does not expose attributes.
         pruning: None where the job does not ask for it, or the model tells no Gaussians apart.
         drawn: Gaussians that are splatted in a test view, mean over a few; None of a model without Gaussians.
         renderer: what rendered the truth; "" in older records.
-        sketch: of the truth's pictures (:func:`bench.identity.sketch`); "" in older records.
+        sketch: of the truth's pictures (:func:`.bench.identity.sketch`); "" in older records.
         decoding: when the model's networks make what is drawn: "once", as it is loaded, or "per frame"; ""
             without such networks; None in older records.
         frame_seconds_decoding: median over frames in which a model that is decoded once is decoded again.
-        parts_ruler: version of how the parts of a frame are timed (:data:`bench.timing.RULERS`).
+        parts_ruler: version of how the parts of a frame are timed (:data:`.bench.timing.RULERS`).
     """
 
     load_seconds: float

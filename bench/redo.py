@@ -2,8 +2,8 @@
 
 The SHA-256 of the bundle decides which models and views are drawn: who changes a figure changes the draw. The
 truth is rendered or read anew from a dataset with the recorded content. Each model is decoded in a process of
-its own, under the limits of jobs (:mod:`bench.limits`), which holds one model and the pictures of a few
-views. ``python -m bench.redo FOLDER`` is that process.
+its own, under the limits of jobs (:mod:`.bench.limits`), which holds one model and the pictures of a few
+views. ``python -m econgs_bench.bench.redo FOLDER`` is that process.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from bench import inputs
-from bench.edits import edit_of, edits_of
-from bench.estimates import Past
-from bench.limits import Limit, Limits, memory_reason, time_reason, used_memory
-from bench.metrics import METRICS
-from bench.processes import Processes, end_session
-from bench.records import Job, Record
-from bench.runner import Runner
-from bench.store import Store, read_record, write_text
-from bench.stress import stress_of
-from bench.supersampling import drawn_as
-from bench.timing import available_cores
-from bench.worker import log_tail
-from datasets.catalogue import open_dataset
-from datasets.catalogue.entries import built_in
-from datasets.errors import DataError, text_of
-from datasets.scene import Dataset
-from datasets.units import camera_in_units
-from methods.interface import Refused
-from methods.registry import Registry
-from methods.shared.decoders import decode_here
+from econgs_bench.bench import inputs
+from econgs_bench.bench.edits import edit_of, edits_of
+from econgs_bench.bench.estimates import Past
+from econgs_bench.bench.limits import Limit, Limits, memory_reason, time_reason, used_memory
+from econgs_bench.bench.metrics import METRICS
+from econgs_bench.bench.processes import Processes, end_session
+from econgs_bench.bench.records import Job, Record
+from econgs_bench.bench.runner import Runner
+from econgs_bench.bench.store import Store, read_record, write_text
+from econgs_bench.bench.stress import stress_of
+from econgs_bench.bench.supersampling import drawn_as
+from econgs_bench.bench.timing import available_cores
+from econgs_bench.bench.worker import log_tail
+from econgs_bench.datasets.catalogue import open_dataset
+from econgs_bench.datasets.catalogue.entries import built_in
+from econgs_bench.datasets.errors import DataError, text_of
+from econgs_bench.datasets.scene import Dataset
+from econgs_bench.datasets.units import camera_in_units
+from econgs_bench.methods.interface import Refused
+from econgs_bench.methods.registry import Registry
+from econgs_bench.methods.shared.decoders import decode_here
 
 VIEWS = 4
 """Views of each model that are drawn."""
@@ -298,11 +298,9 @@ def _renderer(record: Record, split: str) -> str:
 
 def _run(folder: Path, limit: Limit, memory: Limit) -> tuple[int | None, str]:
     """Run the process of a folder to its end; returns its exit code, or why it was killed."""
-    root = str(Path(__file__).resolve().parents[1])
-    path = os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))
-    processes = Processes({**os.environ, "PYTHONPATH": path, "PYTHONSAFEPATH": "1"})
+    processes = Processes({**os.environ, "PYTHONSAFEPATH": "1"})
     with (folder / "log.txt").open("wb") as log, processes.adopting():
-        process = processes.start(folder, log, "bench.redo")
+        process = processes.start(folder, log, "econgs_bench.bench.redo")
         start = time.monotonic()
         try:
             while True:
@@ -339,12 +337,12 @@ def main(folder: Path) -> int:
 
 
 def _measured(store: Store, folder: Path, request: dict[str, Any]) -> dict[str, Any]:
-    from bench.jobs import answers
-    from bench.jobs.context import Context
-    from bench.jobs.measure import load_models
-    from bench.metrics import evaluate
-    from bench.monitor import Progress, Stop
-    from bench.worker import prepare_device
+    from econgs_bench.bench.jobs import answers
+    from econgs_bench.bench.jobs.context import Context
+    from econgs_bench.bench.jobs.measure import load_models
+    from econgs_bench.bench.metrics import evaluate
+    from econgs_bench.bench.monitor import Progress, Stop
+    from econgs_bench.bench.worker import prepare_device
 
     record = store.record(request["job"])
     assert record is not None

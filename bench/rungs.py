@@ -8,12 +8,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from bench.ladders import Ladder, ladder_of
-from bench.records import Job
-from bench.store import Store, write_text
-from datasets.bounded import json_of
-from datasets.errors import DataError
-from methods.options import label
+from econgs_bench.bench.ladders import Ladder, ladder_of
+from econgs_bench.bench.records import Job
+from econgs_bench.bench.store import Store, write_text
+from econgs_bench.datasets.bounded import json_of
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.methods.options import label
 
 FILE = "ladders.json"
 """File of a run store with the ladders of the suites that were run into it."""

@@ -5,23 +5,21 @@ from __future__ import annotations
 import os
 import shutil
 import signal
-import site
 import subprocess
 import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from pathlib import Path
 from typing import Any, Self
 
-from bench.leases import Held, Lease
-from bench.limits import Limit, memory_reason, time_reason, used_memory
-from bench.processes import Process, Processes, end_session
-from bench.provenance import imports_torch
-from bench.records import Job, Record, Status, Task
-from bench.store import Store, write_text
-from bench.worker import BUSY, GRACE_SECONDS, STOPPED, log_tail, now, read_progress, traces
-from methods.registry import Registry
+from econgs_bench.bench.leases import Held, Lease
+from econgs_bench.bench.limits import Limit, memory_reason, time_reason, used_memory
+from econgs_bench.bench.processes import Process, Processes, end_session
+from econgs_bench.bench.provenance import imports_torch
+from econgs_bench.bench.records import Job, Record, Status, Task
+from econgs_bench.bench.store import Store, write_text
+from econgs_bench.bench.worker import BUSY, GRACE_SECONDS, STOPPED, log_tail, now, read_progress, traces
+from econgs_bench.methods.registry import Registry
 
 POLL_SECONDS = 0.1
 EXIT_SECONDS = 5.0
@@ -250,7 +248,7 @@ def finish_dead(store: Store, job: Job, status: Status, reason: str, seconds: fl
 
 
 def _environment(threads: int) -> dict[str, str]:
-    """The workers': pinned threads, and this very package before any other of its name."""
+    """The workers': pinned threads, and nothing of the folder that they start in."""
     environment = dict(os.environ)
     environment.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
     # Spinning OpenMP threads take the cores from the native kernels' own threads: an iteration of
@@ -258,9 +256,6 @@ def _environment(threads: int) -> dict[str, str]:
     environment.setdefault("OMP_WAIT_POLICY", "passive")
     environment["PYTHONSAFEPATH"] = "1"
     environment["PYTHONIOENCODING"] = "utf-8:backslashreplace"  # of logs, whatever this terminal has
-    root = str(Path(__file__).resolve().parent.parent)
-    if root not in site.getsitepackages():
-        environment["PYTHONPATH"] = os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))
     return environment
 
 

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from bench.store import Store
-from datasets.errors import DataError
+from econgs_bench.bench.store import Store
+from econgs_bench.datasets.errors import DataError
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from datasets.camera import Camera
-    from datasets.edits import Edit
-    from datasets.scene import RGB
-    from methods.interface import Model
+    from econgs_bench.datasets.camera import Camera
+    from econgs_bench.datasets.edits import Edit
+    from econgs_bench.datasets.scene import RGB
+    from econgs_bench.methods.interface import Model
 
 
 def load(
@@ -26,11 +26,11 @@ def load(
     Raises:
         DataError: there is no such job, or its method refuses to compose its groups or the device.
     """
-    from bench.jobs.measure import load_models
-    from bench.supersampling import drawn_as
-    from bench.worker import prepare_device
-    from methods.interface import Refused
-    from methods.registry import Registry, load_method
+    from econgs_bench.bench.jobs.measure import load_models
+    from econgs_bench.bench.supersampling import drawn_as
+    from econgs_bench.bench.worker import prepare_device
+    from econgs_bench.methods.interface import Refused
+    from econgs_bench.methods.registry import Registry, load_method
 
     record = store.record(job_id)
     needs = record.job.needs if record is not None and record.job.kind == "measure" else (job_id,)
@@ -64,8 +64,8 @@ def picture(
     Raises:
         DataError: the method refuses the edit or the composition.
     """
-    from bench.monitor import as_numpy
-    from methods.interface import Refused
+    from econgs_bench.bench.monitor import as_numpy
+    from econgs_bench.methods.interface import Refused
 
     try:
         rgb, alpha = model.render(camera, scenes=scenes, edit=edit, background=background)

@@ -6,13 +6,13 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from bench import inputs
-from bench.records import Request
-from bench.suites import Suite, ViewPreset
-from datasets.catalogue import list_datasets, open_dataset
-from datasets.errors import DataError, UnknownName
-from datasets.names import unknown
-from datasets.scene import BasicScene, Dataset
+from econgs_bench.bench import inputs
+from econgs_bench.bench.records import Request
+from econgs_bench.bench.suites import Suite, ViewPreset
+from econgs_bench.datasets.catalogue import list_datasets, open_dataset
+from econgs_bench.datasets.errors import DataError, UnknownName
+from econgs_bench.datasets.names import unknown
+from econgs_bench.datasets.scene import BasicScene, Dataset
 
 
 @dataclass(frozen=True)

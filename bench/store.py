@@ -8,7 +8,7 @@ counts as none: it is in no table, its job runs again, and its folder is kept in
 that is not that of its folder's job.
 
 A store may come from somebody else. So no path is built from what a record says but from names of jobs,
-which :mod:`bench.records` checks, and a store that holds a symbolic link is not opened.
+which :mod:`.bench.records` checks, and a store that holds a symbolic link is not opened.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from bench.leases import Lease
-from bench.migration import migrated
-from bench.records import READABLE, SCHEMA, Record
-from datasets.bounded import check_finite, json_of, number_of_values
-from datasets.errors import DataError, printable
-from datasets.seals import sealed, unsealed
+from econgs_bench.bench.leases import Lease
+from econgs_bench.bench.migration import migrated
+from econgs_bench.bench.records import READABLE, SCHEMA, Record
+from econgs_bench.datasets.bounded import check_finite, json_of, number_of_values
+from econgs_bench.datasets.errors import DataError, printable
+from econgs_bench.datasets.seals import sealed, unsealed
 
 LONGEST = 32 * 2**20
 """Bytes of a record that is read: a hundred times those of any committed one."""

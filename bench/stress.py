@@ -11,10 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from bench.edits import KINDS as EDITS
-from bench.edits import edit_of
-from datasets.errors import DataError
-from datasets.names import unknown
+from econgs_bench.bench.edits import KINDS as EDITS
+from econgs_bench.bench.edits import edit_of
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.names import unknown
 
 Part = Literal["truth", "input", "fit", "test"]
 PARTS: tuple[Part, ...] = ("truth", "input", "fit", "test")

@@ -9,11 +9,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from bench.edits import edit_of
-from bench.ladders import Ladder, ladder_of
-from datasets.errors import DataError
-from datasets.names import unknown
-from datasets.toml import read_toml
+from econgs_bench.bench.edits import edit_of
+from econgs_bench.bench.ladders import Ladder, ladder_of
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.names import unknown
+from econgs_bench.datasets.toml import read_toml
 
 FOLDER = Path(__file__).parent / "suites"
 SAMPLED = 100
@@ -25,7 +25,7 @@ class ViewPreset:
     """Views of a preset.
 
     Attributes:
-        train_views, test_views: see :class:`datasets.views.ViewRequest`.
+        train_views, test_views: see :class:`.datasets.views.ViewRequest`.
         width, height: pixels of rendered views.
         prerendered_limit: pre-rendered views keep their own size up to this many pixels along the
             longer side; larger ones are area-averaged by the smallest whole factor that fits.
@@ -150,7 +150,7 @@ class Suite:
         edits: changes of each basic scene, as "opacity=0.5 light=1,0,0". Models are edited and measured
             against the ground truth of the changed scene; scenes of pre-rendered views have none. Where an
             edit changes a transfer function and a method cannot do that, the trained scenes that come nearest
-            are rendered together (:func:`datasets.unseen.recipe`).
+            are rendered together (:func:`.datasets.unseen.recipe`).
         chains: changes of each composition, for its scenes in turn, as "opacity=0.5 | opacity=2".
         sampled: primitives of each scene whose attributes are recorded.
         ladders: runs under more and more stress, beside the usual ones.

@@ -8,15 +8,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bench.timing import synchronise
-from methods.options import SAMPLES
+from econgs_bench.bench.timing import synchronise
+from econgs_bench.methods.options import SAMPLES
 
 if TYPE_CHECKING:
-    from bench.records import Job
-    from datasets.camera import Camera
-    from datasets.edits import Edit
-    from datasets.scene import RGB
-    from methods.interface import Model
+    from econgs_bench.bench.records import Job
+    from econgs_bench.datasets.camera import Camera
+    from econgs_bench.datasets.edits import Edit
+    from econgs_bench.datasets.scene import RGB
+    from econgs_bench.methods.interface import Model
 
 
 def drawn_as(job: Job, model: Model) -> Model:
@@ -26,7 +26,7 @@ def drawn_as(job: Job, model: Model) -> Model:
 
 
 class Supersampled:
-    """A :class:`methods.interface.Model` whose pixels are means over k x k of a larger picture.
+    """A :class:`.methods.interface.Model` whose pixels are means over k x k of a larger picture.
 
     It draws; what a model can do beside that, such as ``decoding``, is asked of the model itself.
 

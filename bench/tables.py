@@ -1,4 +1,4 @@
-"""The tables of a run store (:mod:`reports.schema`), derived from its records and from nothing else."""
+"""The tables of a run store (:mod:`.reports.schema`), derived from its records and from nothing else."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from bench import identity
-from bench.ladders import Ladder
-from bench.lineage import Lineage, Model
-from bench.records import EncodeResult, FitResult, Job, MeasureResult, Record, ViewsResult
-from bench.rungs import ladders_of, rungs_of
-from bench.store import Store
-from bench.versions import changes, elected, scene_choices
-from datasets.catalogue.entries import built_in, entry, is_procedural
-from methods.options import label
-from reports import comparability
-from reports.schema import COVERAGE, METRICS, TABLES, frame, joined
+from econgs_bench.bench import identity
+from econgs_bench.bench.ladders import Ladder
+from econgs_bench.bench.lineage import Lineage, Model
+from econgs_bench.bench.records import EncodeResult, FitResult, Job, MeasureResult, Record, ViewsResult
+from econgs_bench.bench.rungs import ladders_of, rungs_of
+from econgs_bench.bench.store import Store
+from econgs_bench.bench.versions import changes, elected, scene_choices
+from econgs_bench.datasets.catalogue.entries import built_in, entry, is_procedural
+from econgs_bench.methods.options import label
+from econgs_bench.reports import comparability
+from econgs_bench.reports.schema import COVERAGE, METRICS, TABLES, frame, joined
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from methods.interface import MethodSpec
+    from econgs_bench.methods.interface import MethodSpec
 
 Row = dict[str, Any]
 _N = TypeVar("_N", int, float)
@@ -37,17 +37,17 @@ def build_tables(
 ) -> dict[str, pd.DataFrame]:
     """Derive all tables of a store, and write them as Parquet (each file whole or as before).
 
-    Where the store holds several results for one cell, one is elected (:func:`bench.versions.elected`); the
+    Where the store holds several results for one cell, one is elected (:func:`.bench.versions.elected`); the
     others are rows of the table `superseded` alone.
 
     Args:
         store: where the records are.
         methods: name -> spec of today; rows that it would not make are stale
-            (:func:`bench.versions.changes`).
+            (:func:`.bench.versions.changes`).
         write: whether to write files, if the store can be written.
 
     Returns:
-        The tables as readers get them (:func:`reports.schema.joined`).
+        The tables as readers get them (:func:`.reports.schema.joined`).
     """
     lineage = Lineage(store.records())
     tables = _compared(lineage, methods or {}, ladders_of(store.root))
@@ -98,9 +98,9 @@ def _compared(
 
 def _today(lineage: Lineage) -> comparability.Current:
     """Contents that scenes have today, in the catalogue or on disk; data are opened once, when asked for."""
-    from bench.inputs import content
-    from datasets.catalogue import open_dataset
-    from datasets.errors import DataError
+    from econgs_bench.bench.inputs import content
+    from econgs_bench.datasets.catalogue import open_dataset
+    from econgs_bench.datasets.errors import DataError
 
     opened = cache(open_dataset)
 

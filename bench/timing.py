@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.records import FrameTimes
-from datasets.camera import Camera
+from econgs_bench.bench.records import FrameTimes
+from econgs_bench.datasets.camera import Camera
 
 WARMUP_SECONDS = 3.0
 MEASURE_SECONDS = 1.0
@@ -79,7 +79,7 @@ def lap_seconds() -> float | None:
     The function calls the kernel directly: the layer above it would import torch into every process.
     """
     try:
-        import econgs._native as native
+        import econgs_bench.econgs._native as native
     except ImportError:
         return None
     native.set_threads(int(os.environ.get("ECONGS_THREADS") or available_cores()))

@@ -19,21 +19,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from bench.plan import Planner
-from bench.records import Job, Record, Value, derived_seed, hash_of
-from bench.store import Store, write_text
-from bench.tables import stored_tables
-from bench.worker import now
-from datasets.errors import DataError
-from datasets.names import unknown
-from methods.interface import MethodSpec, Option, OptionValue
-from methods.options import CONFIGURATION, ITERATIONS, declared, resolve, written
-from reports.schema import joined
+from econgs_bench.bench.plan import Planner
+from econgs_bench.bench.records import Job, Record, Value, derived_seed, hash_of
+from econgs_bench.bench.store import Store, write_text
+from econgs_bench.bench.tables import stored_tables
+from econgs_bench.bench.worker import now
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.names import unknown
+from econgs_bench.methods.interface import MethodSpec, Option, OptionValue
+from econgs_bench.methods.options import CONFIGURATION, ITERATIONS, declared, resolve, written
+from econgs_bench.reports.schema import joined
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from bench.selection import Selection
+    from econgs_bench.bench.selection import Selection
 
 FOLDER = "studies"
 """Folder of a run store with its studies."""
@@ -167,7 +167,7 @@ def front(points: ArrayLike) -> list[int]:
     Args:
         points: (n, 2) size and PSNR.
     """
-    from reports.fronts import pareto
+    from econgs_bench.reports.fronts import pareto
 
     places: dict[tuple[float, float], int] = {}
     for place, (size, psnr) in enumerate(np.asarray(points, dtype=np.float64).tolist()):
@@ -372,7 +372,7 @@ class Conditions(_Model):
 
     Attributes:
         scenes: dataset, scene and hash of its content.
-        protocol: views, cloud points and share of the iterations (:class:`bench.suites.ViewPreset`).
+        protocol: views, cloud points and share of the iterations (:class:`.bench.suites.ViewPreset`).
         seeds: of the fits; the first one seeds the search.
         objective: :attr:`Objective.text`.
     """

@@ -3,7 +3,7 @@
 A check is a function in :data:`CHECKS`: it takes a record and the records beside it, and yields a line for
 each contradiction, with the figures. Each rests on arithmetic, or on what the program does on any machine;
 none on what is usual. Who invents all figures consistently passes: against that, models are decoded and
-measured anew (:mod:`bench.redo`).
+measured anew (:mod:`.bench.redo`).
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from datetime import datetime
 from functools import cache, cached_property
 from itertools import pairwise
 
-from bench.lineage import Lineage
-from bench.metrics import METRICS
-from bench.metrics.image import IDENTICAL_DB, SSIM_WINDOW
-from bench.records import FrameTimes, Record
-from bench.stress import stress_of
-from bench.timing import MEASURE_FRAMES, MEASURE_SECONDS
-from datasets.views import split_indices
+from econgs_bench.bench.lineage import Lineage
+from econgs_bench.bench.metrics import METRICS
+from econgs_bench.bench.metrics.image import IDENTICAL_DB, SSIM_WINDOW
+from econgs_bench.bench.records import FrameTimes, Record
+from econgs_bench.bench.stress import stress_of
+from econgs_bench.bench.timing import MEASURE_FRAMES, MEASURE_SECONDS
+from econgs_bench.datasets.views import split_indices
 
 _REL = 1e-9
 """Relative difference of two numbers that count as equal."""
@@ -382,7 +382,7 @@ def _views_job(record: Record) -> str:
 
 
 def _size(record: Record) -> tuple[int, int]:
-    """Width and height of the measured views in pixels, as :func:`bench.inputs.view_request` has them."""
+    """Width and height of the measured views in pixels, as :func:`.bench.inputs.view_request` has them."""
     zoom = stress_of(record.job.stress).get("zoom", 1.0)
     request = record.job.request
     return max(1, round(zoom * request.width)), max(1, round(zoom * request.height))
@@ -403,6 +403,6 @@ def _time(text: str) -> datetime | None:
 
 @cache
 def _built_in() -> frozenset[str]:
-    from methods.registry import Registry
+    from econgs_bench.methods.registry import Registry
 
     return frozenset(Registry().built_in())

@@ -11,12 +11,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
-from bench.lineage import Lineage
-from bench.provenance import source_hash
-from bench.records import Job, Record
-from datasets.errors import DataError
-from methods.interface import MethodSpec
-from methods.options import ITERATIONS, declared, resolve, written
+from econgs_bench.bench.lineage import Lineage
+from econgs_bench.bench.provenance import source_hash
+from econgs_bench.bench.records import Job, Record
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.methods.interface import MethodSpec
+from econgs_bench.methods.options import ITERATIONS, declared, resolve, written
 
 _ROWS = ("measure", "dvr", "complexity")
 """Kinds of jobs that are a row each."""

@@ -1,4 +1,4 @@
-"""Runs one job in this process: ``python -m bench.worker FOLDER``.
+"""Runs one job in this process: ``python -m econgs_bench.bench.worker FOLDER``.
 
 FOLDER is ``RUNS/partial/<kind>-<key>`` with a ``job.json``. Exit codes: 0, the job has a record (of success
 or failure); 75, stopped and resumable; 76, another process works on it; 1, a defect, or a job that has a
@@ -24,20 +24,20 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from pydantic import ValidationError
 
-from bench.leases import BEAT, Held, Lease, Lost
-from bench.locks import holder, locked
-from bench.monitor import Progress, Stop, Stopped
-from bench.records import Record, Status, Task
-from bench.store import Store
-from bench.timing import peak_device_bytes
-from datasets.errors import DataError, printable, text_of
-from datasets.memory import peak_host_bytes
-from methods.failures import failure, is_memory_error
-from methods.interface import Diverged, Refused
-from methods.shared.decoders import decode_here
+from econgs_bench.bench.leases import BEAT, Held, Lease, Lost
+from econgs_bench.bench.locks import holder, locked
+from econgs_bench.bench.monitor import Progress, Stop, Stopped
+from econgs_bench.bench.records import Record, Status, Task
+from econgs_bench.bench.store import Store
+from econgs_bench.bench.timing import peak_device_bytes
+from econgs_bench.datasets.errors import DataError, printable, text_of
+from econgs_bench.datasets.memory import peak_host_bytes
+from econgs_bench.methods.failures import failure, is_memory_error
+from econgs_bench.methods.interface import Diverged, Refused
+from econgs_bench.methods.shared.decoders import decode_here
 
 if TYPE_CHECKING:
-    from methods.interface import MethodSpec
+    from econgs_bench.methods.interface import MethodSpec
 
 STOPPED, BUSY = 75, 76
 GRACE_SECONDS = 60.0
@@ -106,14 +106,14 @@ def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) ->
     spec: MethodSpec | None = None
     context = None
     try:
-        from bench.jobs.context import Context
-        from methods.registry import Registry
+        from econgs_bench.bench.jobs.context import Context
+        from econgs_bench.methods.registry import Registry
 
         if job.method is not None:
             spec = Registry(task.plugins, lenient=True).spec(job.method)  # others may have gone meanwhile
             prepare_device(job.device, spec)
         context = Context(job, folder, store, spec, task.threads, stop, report)
-        fields = {job.kind: import_module(f"bench.jobs.{job.kind}").run(context)}
+        fields = {job.kind: import_module(f"econgs_bench.bench.jobs.{job.kind}").run(context)}
     except Refused as error:
         status, reason = "refused", text_of(error)
     except Diverged as error:
@@ -127,7 +127,7 @@ def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) ->
         if spec is not None and (place := failure(error, spec).place):
             reason = f"{reason} ({place})"
     stop.deferred = True  # the job is finished: its record must be written
-    from bench.provenance import provenance
+    from econgs_bench.bench.provenance import provenance
 
     record = Record(
         job=job,

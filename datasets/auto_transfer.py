@@ -1,8 +1,8 @@
 """Automatic transfer functions for unknown data.
 
 Bumps on many parts of the value range are candidates, each with two opacities. Visible voxels
-(:mod:`datasets.visibility`) decide among them: the choice shows as many boundaries as possible, and no two of
-its scenes show the same place.
+(:mod:`.datasets.visibility`) decide among them: the choice shows as many boundaries as possible, and no two
+of its scenes show the same place.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import DataError
-from datasets.scene import BasicScene
-from datasets.transfer import Bump, TransferFunction
-from datasets.visibility import Samples, ends, overlaps
-from datasets.volume import Volume
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.scene import BasicScene
+from econgs_bench.datasets.transfer import Bump, TransferFunction
+from econgs_bench.datasets.visibility import Samples, ends, overlaps
+from econgs_bench.datasets.volume import Volume
 
 COLORS = (
     (0.34, 0.71, 0.91),

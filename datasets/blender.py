@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera import Camera
-from datasets.errors import DataError
-from datasets.pictures import find_picture, named
-from datasets.png import open_picture
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.pictures import find_picture, named
+from econgs_bench.datasets.png import open_picture
 
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 _REMEDY = "Write it as NeRF's synthetic data: camera_angle_x and frames with file_path and transform_matrix"
@@ -46,7 +46,7 @@ def read_transforms(path: Path | str) -> list[Frame]:
     or ``x_fov`` (``y_fov``) in degrees, each of the frame or, where it has none, of the file; pixels are
     square where one axis alone has any. The principal point is ``cx``, ``cy``, else the middle. The size is
     ``w``, ``h``, else that of the picture. Rotations are made exactly orthonormal. Pictures are found and
-    views named as :mod:`datasets.pictures` says.
+    views named as :mod:`.datasets.pictures` says.
 
     Raises:
         DataError: the file is unreadable or incomplete, a picture is missing or occurs twice, a matrix is no

@@ -25,7 +25,7 @@ class Camera:
         fx, fy: focal lengths in pixels.
         cx, cy: principal point in pixels, measured from the top-left image corner.
         width, height: image size in pixels.
-        name: identifier of the view within its set (:func:`datasets.pictures.named` for views on disk).
+        name: identifier of the view within its set (:func:`.datasets.pictures.named` for views on disk).
         near: least depth at which Gaussians are drawn, in scene units.
     """
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera import NEAR, Camera
-from datasets.errors import DataError
+from econgs_bench.datasets.camera import NEAR, Camera
+from econgs_bench.datasets.errors import DataError
 
 FIELD_OF_VIEW = math.pi / 6
 """30 degrees, as in the views published with the paper."""

@@ -12,11 +12,11 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera import Camera, looked_at
-from datasets.errors import DataError
-from datasets.scene import BasicScene, Dataset
-from datasets.transfer import TransferFunction
-from datasets.volume import Volume
+from econgs_bench.datasets.camera import Camera, looked_at
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.scene import BasicScene, Dataset
+from econgs_bench.datasets.transfer import TransferFunction
+from econgs_bench.datasets.volume import Volume
 
 _BATCH, _DRAWS = 20_000, 100
 """Points of a draw, and most draws, of a random start."""
@@ -141,7 +141,7 @@ def cloud_source(dataset: Dataset, scene: BasicScene) -> CloudSource:
 
     Voxels of non-zero opacity, of the volume subsampled to fewer than 256 samples an axis (section 10.1 of
     the method sheet: the paper's initialisation); of meshes, their own vertices. Of isosurfaces, voxels with
-    a neighbour on the other side. Of pre-rendered scenes those of :func:`datasets.posed_images.points_file`,
+    a neighbour on the other side. Of pre-rendered scenes those of :func:`.datasets.posed_images.points_file`,
     else of COLMAP's model, else :func:`random_start`.
 
     Raises:
@@ -164,7 +164,7 @@ def cloud_source(dataset: Dataset, scene: BasicScene) -> CloudSource:
     coarse = Volume(volume.name, volume.values[steps], volume.spacing, volume.value_range, volume.source)
     normalised = coarse.normalised()
     if scene.transfer is None:
-        from datasets.ground_truth.occlusion import beside_level
+        from econgs_bench.datasets.ground_truth.occlusion import beside_level
 
         inside = np.zeros(normalised.shape, dtype=bool)
         for surface in scene.isosurfaces:
@@ -178,8 +178,8 @@ def cloud_source(dataset: Dataset, scene: BasicScene) -> CloudSource:
 
 
 def _points_of_views(folder: Path) -> PointCloud:
-    from datasets import colmap
-    from datasets.posed_images import points_file, read_frames
+    from econgs_bench.datasets import colmap
+    from econgs_bench.datasets.posed_images import points_file, read_frames
 
     if (file := points_file(folder)) is not None:
         return read_ply(file)
@@ -194,8 +194,8 @@ def _points_of_views(folder: Path) -> PointCloud:
 @cache
 def warn_of_views(folder: Path) -> None:
     """Say once what a folder of pre-rendered views lacks or has in vain, a line each."""
-    from datasets import colmap
-    from datasets.posed_images import POINTS, points_file, remarks
+    from econgs_bench.datasets import colmap
+    from econgs_bench.datasets.posed_images import POINTS, points_file, remarks
 
     model = colmap.model_of(folder)
     if points_file(folder) is None and (model is None or colmap.read_points(model) is None):

@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera import Camera
-from datasets.errors import DataError
-from datasets.pictures import find_picture, named
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.pictures import find_picture, named
 
 _PLACES = ("sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", "")
 """Folders of a model below that of a scene."""

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-from datasets.errors import DataError
+from econgs_bench.datasets.errors import DataError
 
 if TYPE_CHECKING:
     from requests import Response

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal
 
-from datasets.errors import DataError
+from econgs_bench.datasets.errors import DataError
 
 if TYPE_CHECKING:
-    from datasets.scene import RGB, BasicScene, Light
-    from datasets.transfer import Bump, TransferFunction
+    from econgs_bench.datasets.scene import RGB, BasicScene, Light
+    from econgs_bench.datasets.transfer import Bump, TransferFunction
 
 _OPAQUE = 0.9999
 """Opacity of bumps stays below 1, where extinction would be infinite."""

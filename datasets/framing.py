@@ -8,9 +8,9 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.ground_truth.occlusion import beside_level
-from datasets.scene import BasicScene, Dataset, Frame
-from datasets.visibility import Samples
+from econgs_bench.datasets.ground_truth.occlusion import beside_level
+from econgs_bench.datasets.scene import BasicScene, Dataset, Frame
+from econgs_bench.datasets.visibility import Samples
 
 _KEPT = 0.995  # of a scene's visible voxels: a few specks far away are no reason to make all else small
 _GRID = 100  # frames are multiples of 1 / _GRID, so that small changes of a scene leave the cameras

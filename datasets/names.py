@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-from datasets.errors import UnknownName
+from econgs_bench.datasets.errors import UnknownName
 
 
 def unknown(kind: str, name: str, candidates: Iterable[str], *, of: str = "", hint: str = "") -> UnknownName:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from datasets.camera import Camera, with_near_planes
-from datasets.errors import DataError, printable
+from econgs_bench.datasets.camera import Camera, with_near_planes
+from econgs_bench.datasets.errors import DataError, printable
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 

@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
-from datasets import colmap
-from datasets.blender import Frame, read_fields, read_transforms
-from datasets.errors import DataError
+from econgs_bench.datasets import colmap
+from econgs_bench.datasets.blender import Frame, read_fields, read_transforms
+from econgs_bench.datasets.errors import DataError
 
 TRAIN, TEST, ONE = "transforms_train.json", "transforms_test.json", "transforms.json"
 POINTS = "points3d.ply"

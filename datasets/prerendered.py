@@ -1,4 +1,4 @@
-"""Pre-rendered views: the pictures and cameras of a folder (:mod:`datasets.posed_images`) as truth."""
+"""Pre-rendered views: the pictures and cameras of a folder (:mod:`.datasets.posed_images`) as truth."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera import Camera
-from datasets.errors import DataError
-from datasets.png import read_png
-from datasets.posed_images import read_frames
-from datasets.scene import BasicScene
-from datasets.scratch import new_array
-from datasets.views import ViewRequest, ViewSet, evenly_spaced, split_indices
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.png import read_png
+from econgs_bench.datasets.posed_images import read_frames
+from econgs_bench.datasets.scene import BasicScene
+from econgs_bench.datasets.scratch import new_array
+from econgs_bench.datasets.views import ViewRequest, ViewSet, evenly_spaced, split_indices
 
 _log = logging.getLogger(__name__)
 

@@ -17,12 +17,12 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera import Camera
-from datasets.camera_paths import test_cameras, training_cameras
-from datasets.edits import Edit, edited
-from datasets.errors import DataError
-from datasets.ground_truth import probe
-from datasets.ground_truth.model import (
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.camera_paths import test_cameras, training_cameras
+from econgs_bench.datasets.edits import Edit, edited
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.ground_truth import probe
+from econgs_bench.datasets.ground_truth.model import (
     MODEL_VERSION,
     Draw,
     Layer,
@@ -31,14 +31,14 @@ from datasets.ground_truth.model import (
     Progress,
     same_grid,
 )
-from datasets.ground_truth.sampling import ADAPTIVE, SAMPLING_VERSION, checked
-from datasets.memory import peak_drjit_device_bytes, peak_host_bytes
-from datasets.names import unknown
-from datasets.scene import RGB, BasicScene, Dataset, Frame
-from datasets.scratch import picked
-from datasets.view_cache import CachedViews, ViewCache
-from datasets.views import ViewRequest, ViewSet, evenly_spaced, split_indices
-from datasets.volume import Volume
+from econgs_bench.datasets.ground_truth.sampling import ADAPTIVE, SAMPLING_VERSION, checked
+from econgs_bench.datasets.memory import peak_drjit_device_bytes, peak_host_bytes
+from econgs_bench.datasets.names import unknown
+from econgs_bench.datasets.scene import RGB, BasicScene, Dataset, Frame
+from econgs_bench.datasets.scratch import picked
+from econgs_bench.datasets.view_cache import CachedViews, ViewCache
+from econgs_bench.datasets.views import ViewRequest, ViewSet, evenly_spaced, split_indices
+from econgs_bench.datasets.volume import Volume
 
 Renderer = Literal["auto", "mitsuba", "reference"]
 
@@ -65,7 +65,7 @@ def views_of(
         dataset: with volumes (views are rendered) or with views only (they are read).
         scene_name: one of its basic scenes or compositions.
         request: split, numbers and size.
-        edit: basic scene -> changes (:func:`datasets.edits.edited`); others stay as they are.
+        edit: basic scene -> changes (:func:`.datasets.edits.edited`); others stay as they are.
         background: recorded with the views; default: that of the (first) scene.
         renderer: "auto" takes Mitsuba where it works, else the reference marcher, with a notice.
         cache: default: that of the user.
@@ -78,7 +78,7 @@ def views_of(
     parts = _edited(dataset.parts(scene_name), edit)
     background = parts[0].background if background is None else background
     if dataset.kind == "views":
-        from datasets.prerendered import load_views
+        from econgs_bench.datasets.prerendered import load_views
 
         prerendered: ViewSet = load_views(parts[0], request)
         return replace(prerendered, background=background)
@@ -99,7 +99,7 @@ def cameras_of(dataset: Dataset, scene_name: str, request: ViewRequest) -> tuple
     """The cameras of a request, without rendering or reading pictures."""
     parts = dataset.parts(scene_name)
     if dataset.kind == "views":
-        from datasets.prerendered import view_cameras
+        from econgs_bench.datasets.prerendered import view_cameras
 
         return view_cameras(parts[0], request)
     cameras = _cameras(dataset.volume(parts[0].variable), dataset.frame, request)
@@ -148,7 +148,7 @@ def finer_views(
     Raises:
         UnknownName, DataError: as :func:`views_of`.
     """
-    from datasets.prerendered import area_average
+    from econgs_bench.datasets.prerendered import area_average
 
     work = _Work(dataset, _edited(dataset.parts(scene_name), edit), request, renderer)
     places = evenly_spaced(len(work.places), count)
@@ -203,7 +203,7 @@ def marcher_of(
 
     Args:
         volumes: at least one.
-        backend: of :func:`datasets.ground_truth.probe.find_backend`; without one it is the reference marcher.
+        backend: of :func:`.datasets.ground_truth.probe.find_backend`; without one the reference marcher.
         settings: step and table size.
 
     Raises:
@@ -214,11 +214,11 @@ def marcher_of(
             _notice(backend)
         import torch
 
-        from datasets.ground_truth.reference import ReferenceMarcher
+        from econgs_bench.datasets.ground_truth.reference import ReferenceMarcher
 
         return ReferenceMarcher(volumes, settings, torch.float32, _torch_device())
     probe.activate(backend)
-    from datasets.ground_truth.mitsuba_marcher import MitsubaMarcher
+    from econgs_bench.datasets.ground_truth.mitsuba_marcher import MitsubaMarcher
 
     return MitsubaMarcher(volumes, settings)
 
@@ -295,7 +295,7 @@ class _Work:
         return draw, time.perf_counter() - start
 
     def render(self, progress: Progress | None) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """The images and their cost (:attr:`datasets.views.ViewSet.cost`)."""
+        """The images and their cost (:attr:`.datasets.views.ViewSet.cost`)."""
         draw, setup_seconds = self.set_up()
         ready = time.perf_counter()
         images = draw(self.cameras, progress)

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from datasets.names import unknown
-from datasets.transfer import TransferFunction
-from datasets.volume import Volume
+from econgs_bench.datasets.names import unknown
+from econgs_bench.datasets.transfer import TransferFunction
+from econgs_bench.datasets.volume import Volume
 
 RGB = tuple[float, float, float]
 WHITE: RGB = (1.0, 1.0, 1.0)
@@ -63,8 +63,8 @@ class BasicScene:
         light: None renders unshaded (emission-absorption).
         isosurfaces: level sets drawn instead of a transfer function; empty otherwise.
         depth_enhancement: strength in [0, 1] of the darkening of deep or hidden parts
-            (:mod:`datasets.ground_truth.model`); 0 is off.
-        views_folder: folder of pre-rendered views (:mod:`datasets.posed_images`).
+            (:mod:`.datasets.ground_truth.model`); 0 is off.
+        views_folder: folder of pre-rendered views (:mod:`.datasets.posed_images`).
     """
 
     name: str
@@ -101,7 +101,7 @@ class Dataset:
         scenes: basic scenes by order of the catalogue.
         compositions: name -> names of basic scenes; empty for "views".
         volumes: variable -> function that reads it; empty for "views".
-        samples: rays a pixel of views (:attr:`datasets.views.ViewRequest.samples`).
+        samples: rays a pixel of views (:attr:`.datasets.views.ViewRequest.samples`).
         framing: function that finds the frame of all views; None: they show each volume's whole box.
     """
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import DataError
+from econgs_bench.datasets.errors import DataError
 
 LIMIT = 2**29
 """Bytes of arrays that are held together, up to which they lie in memory."""

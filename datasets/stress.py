@@ -10,9 +10,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera import Camera
-from datasets.cloud import PointCloud, random_cloud
-from datasets.errors import DataError
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.cloud import PointCloud, random_cloud
+from econgs_bench.datasets.errors import DataError
 
 Side = Literal["hemisphere", "ring"]
 RING = 20.0

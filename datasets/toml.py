@@ -11,7 +11,7 @@ from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from datasets.errors import DataError
+from econgs_bench.datasets.errors import DataError
 
 M = TypeVar("M", bound=BaseModel)
 

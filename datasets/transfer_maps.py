@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.bounded import json_of
-from datasets.errors import DataError
-from datasets.names import unknown
-from datasets.transfer import Bump, TransferFunction
+from econgs_bench.datasets.bounded import json_of
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.names import unknown
+from econgs_bench.datasets.transfer import Bump, TransferFunction
 
 SPACES = {
     "rgb": "RGB", "hsv": "HSV", "wrapped": "HSV", "lab": "Lab", "cielab": "Lab", "diverging": "Diverging",

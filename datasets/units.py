@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from datasets.camera import Camera
-from datasets.cloud import PointCloud
-from datasets.scene import BasicScene
-from datasets.views import ViewSet
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.cloud import PointCloud
+from econgs_bench.datasets.scene import BasicScene
+from econgs_bench.datasets.views import ViewSet
 
 
 def camera_in_units(camera: Camera, units: float) -> Camera:

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from datasets.edits import Edit, edited, mean_color
+from econgs_bench.datasets.edits import Edit, edited, mean_color
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from datasets.scene import BasicScene
+    from econgs_bench.datasets.scene import BasicScene
 
 _SAMPLES = 4096
 _LEAST = 0.02

@@ -21,11 +21,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.bounded import json_of
-from datasets.errors import DataError
-from datasets.scratch import cache_root, new_array
-from datasets.seals import sealed, unsealed
-from datasets.view_files import INDEX, read_views, rounded, write_views
+from econgs_bench.datasets.bounded import json_of
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.scratch import cache_root, new_array
+from econgs_bench.datasets.seals import sealed, unsealed
+from econgs_bench.datasets.view_files import INDEX, read_views, rounded, write_views
 
 DEFAULT_MAX_BYTES = 20 * 2**30
 _SCHEMA = 1
@@ -103,7 +103,7 @@ class ViewCache:
         """Give an entry's pictures a second name, which stays when the entry goes.
 
         Returns:
-            What :func:`datasets.view_files.read_views` needs, or None if there is no entry or no such link.
+            What :func:`.datasets.view_files.read_views` needs, or None if there is no entry or no such link.
         """
         entry = self._entry(key)
         if entry is None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.scratch import new_array
+from econgs_bench.datasets.scratch import new_array
 
 _LEVELS = 65535
 _SIXTEEN_BITS = "<u2"
@@ -53,7 +53,7 @@ def write_views(file: Path, images: NDArray[np.float32]) -> dict[str, Any]:
 def read_views(
     file: Path, index: Mapping[str, Any], which: Sequence[int] | None = None, together: int = 0
 ) -> NDArray[np.float32]:
-    """Images of a file, all or those of some positions, in a :func:`datasets.scratch.new_array`.
+    """Images of a file, all or those of some positions, in a :func:`.datasets.scratch.new_array`.
 
     Args:
         file: of :func:`write_views`.

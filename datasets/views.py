@@ -9,9 +9,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera import Camera
-from datasets.errors import DataError
-from datasets.scene import RGB
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.scene import RGB
 
 Split = Literal["train", "val", "trainval", "test"]
 
@@ -31,7 +31,7 @@ class ViewRequest:
         step: degrees between test cameras in the middle of the path (of rendered views); 0 spreads them over
             the whole path.
         samples: rays a pixel of rendered views, a square; 0: as many as each pixel needs
-            (:mod:`datasets.ground_truth.sampling`).
+            (:mod:`.datasets.ground_truth.sampling`).
     """
 
     split: Split

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.transfer import TransferFunction
-from datasets.volume import Volume
+from econgs_bench.datasets.transfer import TransferFunction
+from econgs_bench.datasets.volume import Volume
 
 LEAST_WEIGHT = 0.02
 """Least share of a pixel that a voxel must have in some view to be visible: five of 255 levels."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.scratch import new_array
+from econgs_bench.datasets.scratch import new_array
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +30,7 @@ class Volume:
             for grids.
         vertex_values: (n,) data values of ``vertices``, in the units of ``values``.
         whole: minimum and maximum with the outliers that ``value_range`` leaves out
-            (:mod:`datasets.readers.limits`); None: there are none, or the range is given.
+            (:mod:`.datasets.readers.limits`); None: there are none, or the range is given.
     """
 
     name: str
@@ -69,7 +69,7 @@ class Volume:
     def normalised(self) -> NDArray[np.float32]:
         """(nz, ny, nx) float32 values with ``value_range`` mapped to [0, 1] and clipped.
 
-        Works slice by slice, without a second copy, into a :func:`datasets.scratch.new_array`.
+        Works slice by slice, without a second copy, into a :func:`.datasets.scratch.new_array`.
         """
         result = new_array(self.values.shape, np.float32)
         for values, out in zip(self.values, result, strict=True):

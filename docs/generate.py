@@ -43,7 +43,7 @@ changes. Keys:
     bundles     as above
     show        "bytes", "primitives": for ``level`` dB; "gains": dB per added KiB along the curve;
                 "prunable": percent of Gaussians that can go at ``level`` dB of loss
-    level       of :data:`reports.conclusions.economy.LEVELS`, or a value of :data:`reports.schema.PRUNED`
+    level       of :data:`.reports.conclusions.economy.LEVELS`, or a value of :data:`.reports.schema.PRUNED`
 
 ``verdict``  what a section of the report concludes, its table, and a line with the conditions. Keys:
 
@@ -91,34 +91,34 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from bench.__main__ import parser
-from bench.gate.baseline import read as read_baseline
-from bench.gate.power import markdown as power
-from bench.store import Store
-from bench.suites import load_suite
-from bench.tables import build_tables
-from bench.tune import LOSS, SCENE_LOSS, Study, Trial, means, read_study, smaller
-from methods.interface import MethodSpec, OptionValue
-from methods.options import CONFIGURATION, ITERATIONS, declared, resolve, written
-from methods.registry import Registry
-from reports import comparability
-from reports.charts import svg
-from reports.charts.report import Report
-from reports.charts.sections import chart_sections
-from reports.clocks import CLOCKS, Clocks
-from reports.conclusions import economy, races, rates, unseen, volumes
-from reports.conclusions.answers import Answer, scope, standing
-from reports.conclusions.ladders import amount, by_method, contrasts, verdict
-from reports.paper import datasets
-from reports.paper.documents import to_markdown
-from reports.paper.tables import paper_tables
-from reports.paper.values import PaperTable
-from reports.schema import PRUNED, records
-from reports.statistics import Views
-from reports.style import MISSING, PAPER, TITLES, counted, label
-from reports.tables.documents import to_markdown as costs_as_markdown
-from reports.tables.ladders import climbed, held, ladders
-from reports.tables.protocols import by_scene_choice
+from econgs_bench.bench.__main__ import parser
+from econgs_bench.bench.gate.baseline import read as read_baseline
+from econgs_bench.bench.gate.power import markdown as power
+from econgs_bench.bench.store import Store
+from econgs_bench.bench.suites import load_suite
+from econgs_bench.bench.tables import build_tables
+from econgs_bench.bench.tune import LOSS, SCENE_LOSS, Study, Trial, means, read_study, smaller
+from econgs_bench.methods.interface import MethodSpec, OptionValue
+from econgs_bench.methods.options import CONFIGURATION, ITERATIONS, declared, resolve, written
+from econgs_bench.methods.registry import Registry
+from econgs_bench.reports import comparability
+from econgs_bench.reports.charts import svg
+from econgs_bench.reports.charts.report import Report
+from econgs_bench.reports.charts.sections import chart_sections
+from econgs_bench.reports.clocks import CLOCKS, Clocks
+from econgs_bench.reports.conclusions import economy, races, rates, unseen, volumes
+from econgs_bench.reports.conclusions.answers import Answer, scope, standing
+from econgs_bench.reports.conclusions.ladders import amount, by_method, contrasts, verdict
+from econgs_bench.reports.paper import datasets
+from econgs_bench.reports.paper.documents import to_markdown
+from econgs_bench.reports.paper.tables import paper_tables
+from econgs_bench.reports.paper.values import PaperTable
+from econgs_bench.reports.schema import PRUNED, records
+from econgs_bench.reports.statistics import Views
+from econgs_bench.reports.style import MISSING, PAPER, TITLES, counted, label
+from econgs_bench.reports.tables.documents import to_markdown as costs_as_markdown
+from econgs_bench.reports.tables.ladders import climbed, held, ladders
+from econgs_bench.reports.tables.protocols import by_scene_choice
 
 ROOT = Path(__file__).resolve().parents[1]
 MEASURED = ROOT / "reports" / "measured"

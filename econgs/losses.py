@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from datasets.scene import RGB
-from econgs.splat.composite import over
-from econgs.splat.rasterise import choose_backend, native
+from econgs_bench.datasets.scene import RGB
+from econgs_bench.econgs.splat.composite import over
+from econgs_bench.econgs.splat.rasterise import choose_backend, native
 
 WINDOW = 11  # taps of the Gaussian window of Wang et al. 2004
 SIGMA = 1.5
@@ -30,7 +30,7 @@ def photometric_loss(
         rendered: (H, W, C); the loss is differentiable with respect to it.
         target: (H, W, C), constant.
         ssim_weight: w in [0, 1].
-        backend: as in :func:`econgs.splat.rasterise`.
+        backend: as in :func:`.econgs.splat.rasterise`.
 
     Raises:
         ValueError: the shapes differ, or are not those of images.
@@ -70,7 +70,7 @@ def view_losses(
         ssim_weight: in [0, 1].
         alpha_weight: at least 0. Above 0 it becomes :data:`RESCUE`, if that is more, while less than
             :data:`VANISHING` of the view's alpha is drawn.
-        backend: as in :func:`econgs.splat.rasterise`.
+        backend: as in :func:`.econgs.splat.rasterise`.
 
     Returns:
         Two scalars; only their sum, or a multiple of it, may be differentiated where alpha has a weight.

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.optim.adam import adam
 
-from econgs.splat.rasterise import choose_backend, native
+from econgs_bench.econgs.splat.rasterise import choose_backend, native
 
 
 class Adam:

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from datasets.camera import Camera
+from econgs_bench.datasets.camera import Camera
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import methods
-from methods.interface import MethodSpec
+from econgs_bench import methods
+from econgs_bench.methods.interface import MethodSpec
 
 Fault = Literal["plugin", "harness", "machine"]
 _HARNESS = [
@@ -85,7 +85,7 @@ def _home(spec: MethodSpec) -> Path | None:
     """The package of a method: folder, or file of a module alone; found without running it."""
     module = spec.implementation.partition(":")[0]
     parts = module.split(".")
-    top = ".".join(parts[:2]) if parts[0] == methods.__name__ else parts[0]
+    top = ".".join(parts[:3]) if module.startswith(f"{methods.__name__}.") else parts[0]
     try:
         found = importlib.util.find_spec(top)
     except (ImportError, ValueError):

@@ -13,17 +13,17 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar, cast, runtime_checkable
 
-from datasets.edits import Edit as Edit
+from econgs_bench.datasets.edits import Edit as Edit
 
 if TYPE_CHECKING:
     import torch
 
-    from datasets.camera import Camera
-    from datasets.cloud import PointCloud
-    from datasets.scene import RGB, BasicScene
-    from datasets.views import ViewSet
-    from datasets.volume import Volume
-    from econgs.splat.splats import Splats
+    from econgs_bench.datasets.camera import Camera
+    from econgs_bench.datasets.cloud import PointCloud
+    from econgs_bench.datasets.scene import RGB, BasicScene
+    from econgs_bench.datasets.views import ViewSet
+    from econgs_bench.datasets.volume import Volume
+    from econgs_bench.econgs.splat.splats import Splats
 
 OptionValue = bool | int | float | str
 OPTION = "option"  # where the metadata of a dataclass field hold its Option
@@ -147,7 +147,7 @@ class MethodSpec:
         uses_alpha: how it uses the alpha of training views, for people.
         devices: "cpu", "cuda".
         iterations: preset name -> training iterations of one scene; every one of :data:`PRESETS`, at least. A
-            group has as many, or more by :data:`methods.options.GROUP_BUDGET`.
+            group has as many, or more by :data:`.methods.options.GROUP_BUDGET`.
         options: frozen dataclass whose fields are declared by :func:`option`.
         presets: preset name -> option values that differ from the defaults.
         rate_knobs: empty if the method has one size only.

@@ -8,9 +8,9 @@ from dataclasses import asdict, dataclass, fields, replace
 from functools import cache
 from typing import Any, Literal, cast, get_args, get_origin, get_type_hints
 
-from datasets.errors import DataError
-from datasets.names import unknown
-from methods.interface import OPTION, MethodSpec, Option, OptionValue
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.names import unknown
+from econgs_bench.methods.interface import OPTION, MethodSpec, Option, OptionValue
 
 ITERATIONS = "iterations"
 """Settable for every method like an option: the budget, which a preset otherwise gives."""
@@ -96,7 +96,9 @@ def _declared(options: Any) -> dict[str, Option]:
     types, result = get_type_hints(options), {}
     for one in fields(options):
         if OPTION not in one.metadata:
-            raise TypeError(f"the field {one.name!r} is not declared by methods.interface.option")
+            raise TypeError(
+                f"the field {one.name!r} is not declared by econgs_bench.methods.interface.option"
+            )
         choices = get_args(types[one.name]) if get_origin(types[one.name]) is Literal else ()
         kind = type(choices[0]) if choices else types[one.name]
         if type(one.default) is not kind or kind not in _KINDS:

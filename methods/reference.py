@@ -1,18 +1,19 @@
-"""The page of options: ``python -m methods.reference > docs/reference/options.md``."""
+"""The page of options: ``python -m econgs_bench.methods.reference > docs/reference/options.md``."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from methods.interface import MethodSpec, Option
-from methods.options import DRAWING, SAMPLES, declared, written
-from methods.registry import Registry
+from econgs_bench.methods.interface import MethodSpec, Option
+from econgs_bench.methods.options import DRAWING, SAMPLES, declared, written
+from econgs_bench.methods.registry import Registry
 
 _HEAD = """# Options of the methods
 
-`python -m methods.reference > docs/reference/options.md` writes this page from the specs of the methods
-(`methods/*/spec.py`). `--set METHOD.OPTION=VALUE` sets an option; it also sets `iterations`, the budget, and
-`configuration`, a named set of options. Each section ends with what presets and configurations change."""
+`python -m econgs_bench.methods.reference > docs/reference/options.md` writes this page from the specs of the
+methods (`methods/*/spec.py`). `--set METHOD.OPTION=VALUE` sets an option; it also sets `iterations`, the
+budget, and `configuration`, a named set of options. Each section ends with what presets and
+configurations change."""
 
 
 def page() -> str:

@@ -17,17 +17,17 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-import methods
-from datasets.errors import DataError, printable, text_of
-from datasets.names import unknown
-from methods.interface import PRESETS, Configuration, MethodSpec, RateKnob
-from methods.options import CONFIGURATION, ITERATIONS, SAMPLES, check, declared
+from econgs_bench import methods
+from econgs_bench.datasets.errors import DataError, printable, text_of
+from econgs_bench.datasets.names import unknown
+from econgs_bench.methods.interface import PRESETS, Configuration, MethodSpec, RateKnob
+from econgs_bench.methods.options import CONFIGURATION, ITERATIONS, SAMPLES, check, declared
 
 if TYPE_CHECKING:
-    from methods.interface import Method
+    from econgs_bench.methods.interface import Method
 
 GROUP = "econgs_bench.methods"
-BUILT_IN = "built in: methods."
+BUILT_IN = "built in: econgs_bench.methods."
 _SPEC = re.compile(rb"^(?:\xef\xbb\xbf)?SPEC\b\s*[:=]", re.MULTILINE)
 """In bytes: a source has the encoding that it declares (PEP 263), and what is no source may have any."""
 """How the origins of the methods that come with the harness begin."""
@@ -206,8 +206,8 @@ _FIELDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "volume_scenes": ("a frozenset of transfer and isosurfaces", _some_of("transfer", "isosurfaces")),
     "iterations": ("a dictionary of whole numbers", _named(int)),
     "presets": ("a dictionary of dictionaries", _named(Mapping)),
-    "rate_knobs": ("a tuple of methods.interface.RateKnob", _all(RateKnob)),
-    "configurations": ("a dictionary of methods.interface.Configuration", _named(Configuration)),
+    "rate_knobs": ("a tuple of RateKnob", _all(RateKnob)),
+    "configurations": ("a dictionary of Configuration", _named(Configuration)),
 }
 """Field of a spec -> what it must be, in words and as a test."""
 
@@ -220,7 +220,7 @@ def check_spec(spec: Any, origin: str) -> None:
     """
     wrong = partial(DataError, origin)
     if not isinstance(spec, MethodSpec):
-        raise wrong(f"SPEC is a {type(spec).__name__}", "Make it a methods.interface.MethodSpec")
+        raise wrong(f"SPEC is a {type(spec).__name__}", "Make it a MethodSpec")
     for field, (what, fits) in _FIELDS.items():
         if not fits(value := getattr(spec, field)):
             raise wrong(f"{field} is {printable(repr(value))}", f"Make it {what}")
@@ -235,7 +235,7 @@ def check_spec(spec: Any, origin: str) -> None:
     try:
         options = declared(spec.options)
     except TypeError as error:
-        raise wrong(f"options: {error}", "Declare each field with methods.interface.option") from error
+        raise wrong(f"options: {error}", "Declare each field with option()") from error
     if ITERATIONS in options:
         raise wrong(f"an option called {ITERATIONS!r}", "Leave it out: the budget is settable as it is")
     if CONFIGURATION in options:
@@ -275,15 +275,15 @@ def _built_in() -> Iterator[_Candidate]:
     for module in pkgutil.iter_modules(methods.__path__):
         folder = Path(methods.__path__[0], module.name)
         if module.ispkg and (folder / "spec.py").is_file():
-            yield _Candidate(None, f"{BUILT_IN}{module.name}", _spec_of(f"methods.{module.name}.spec"))
+            name = f"{methods.__name__}.{module.name}"
+            yield _Candidate(None, f"built in: {name}", _spec_of(f"{name}.spec"))
 
 
 def _installed() -> Iterator[_Candidate]:
     """Entry points of other distributions; one installed twice over counts once."""
     seen: set[tuple[str, str]] = set()
     for point in entry_points(group=GROUP):
-        own = point.value.startswith(f"{methods.__name__}.")
-        if not own and (point.name, point.value) not in seen:
+        if (point.name, point.value) not in seen:
             seen.add((point.name, point.value))
             package = f"{point.dist.name} {point.dist.version}, " if point.dist is not None else ""
             yield _Candidate(point.name, f"installed: {package}{point.value}", point.load)

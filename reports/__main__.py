@@ -1,4 +1,4 @@
-"""``python -m reports --table results.csv --out DIR``: a report from a table of any tool."""
+"""``python -m econgs_bench.reports --table results.csv --out DIR``: a report from a table of any tool."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from reports.inputs import NEEDED, Unusable, read_results
-from reports.terminal import terminal
-from reports.text import one_line
+from econgs_bench.reports.inputs import NEEDED, Unusable, read_results
+from econgs_bench.reports.terminal import terminal
+from econgs_bench.reports.text import one_line
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -19,7 +19,9 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _run(arguments: list[str] | None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m reports", description="A report of a table of results.")
+    parser = argparse.ArgumentParser(
+        prog="python -m econgs_bench.reports", description="A report of a table of results."
+    )
     columns = ", ".join(NEEDED)
     parser.add_argument(
         "--table", type=Path, required=True, help=f"CSV or Parquet file with at least {columns}"
@@ -31,7 +33,7 @@ def _run(arguments: list[str] | None) -> int:
     except Unusable as error:
         print(f"error: {one_line(str(error))}", file=sys.stderr)
         return 2
-    from reports.page.document import write_report
+    from econgs_bench.reports.page.document import write_report
 
     try:
         options.out.mkdir(parents=True, exist_ok=True)

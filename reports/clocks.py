@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from reports.style import absent, enumeration, label
+from econgs_bench.reports.style import absent, enumeration, label
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -23,9 +23,9 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from reports.clocks import CLOCKS, Clocks
-from reports.schema import COVERAGE, METRICS, by_name, frame, records
-from reports.style import absent, counted, enumeration, label
+from econgs_bench.reports.clocks import CLOCKS, Clocks
+from econgs_bench.reports.schema import COVERAGE, METRICS, by_name, frame, records
+from econgs_bench.reports.style import absent, counted, enumeration, label
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -249,7 +249,7 @@ def judged(
     - Rows of one method, options and scenes learned together have one version: today's where some have it,
       else that of the most rows.
     - A metric has one version in a dataset, preset and split: that of the most rows.
-    - Times count if nothing disturbed them (:meth:`reports.clocks.Clocks.disturbed`), on one
+    - Times count if nothing disturbed them (:meth:`.reports.clocks.Clocks.disturbed`), on one
       place (processor, threads, device and ruler): :func:`usual_place`.
 
     Args:

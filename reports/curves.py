@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from reports.floors import Floor, of_row
-from reports.fronts import pareto
-from reports.schema import records
-from reports.style import MIB, Model, absent, mean_key, model
-from reports.tables.means import summary
-from reports.tables.protocols import comparable, shared_by_all
+from econgs_bench.reports.floors import Floor, of_row
+from econgs_bench.reports.fronts import pareto
+from econgs_bench.reports.schema import records
+from econgs_bench.reports.style import MIB, Model, absent, mean_key, model
+from econgs_bench.reports.tables.means import summary
+from econgs_bench.reports.tables.protocols import comparable, shared_by_all
 
 if TYPE_CHECKING:
     import pandas as pd

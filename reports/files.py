@@ -9,17 +9,17 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports.comparability import listing, replaced
-from reports.paper import datasets
-from reports.paper import documents as paper_documents
-from reports.tables.documents import to_csv, to_latex, to_markdown
-from reports.text import short_name
+from econgs_bench.reports.comparability import listing, replaced
+from econgs_bench.reports.paper import datasets
+from econgs_bench.reports.paper import documents as paper_documents
+from econgs_bench.reports.tables.documents import to_csv, to_latex, to_markdown
+from econgs_bench.reports.text import short_name
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from reports.charts.report import Report
-    from reports.paper.values import PaperTable
+    from econgs_bench.reports.charts.report import Report
+    from econgs_bench.reports.paper.values import PaperTable
 
 
 def write_files(report: Report, folder: Path, paper: Sequence[PaperTable]) -> None:

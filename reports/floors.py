@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from statistics import fmean
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from reports.style import absent, counted
+from econgs_bench.reports.style import absent, counted
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -1,4 +1,4 @@
-"""Tables of other tools as tables of :mod:`reports.schema`: checked, with defaults for missing columns."""
+"""Tables of other tools as tables of :mod:`.reports.schema`: checked, with defaults for missing columns."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports.comparability import judged
-from reports.schema import COLUMNS, TABLES, Column, frame
-from reports.style import absent
-from reports.text import csv_text
+from econgs_bench.reports.comparability import judged
+from econgs_bench.reports.schema import COLUMNS, TABLES, Column, frame
+from econgs_bench.reports.style import absent
+from econgs_bench.reports.text import csv_text
 
 if TYPE_CHECKING:
     import pandas as pd

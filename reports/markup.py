@@ -6,7 +6,7 @@ import json
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from reports.style import DARK, Look, Model, absent, look, model, row_label
+from econgs_bench.reports.style import DARK, Look, Model, absent, look, model, row_label
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

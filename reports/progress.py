@@ -10,8 +10,8 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from reports.terminal import Terminal
-from reports.text import one_line
+from econgs_bench.reports.terminal import Terminal
+from econgs_bench.reports.text import one_line
 
 SILENCE, RAREST = 10.0, 80.0
 """Seconds of one step without output after which a line is due, first and in the end."""

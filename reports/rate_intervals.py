@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from reports.statistics import Path, Sample, shared_views
+from econgs_bench.reports.statistics import Path, Sample, shared_views
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from reports.statistics import Interval, Views
+    from econgs_bench.reports.statistics import Interval, Views
 
 Delta = Callable[[list[float], list[float], list[float], list[float]], float]
 """A number that compares two curves: from bytes and PSNR of the reference, then of the other one."""

@@ -1,22 +1,23 @@
-"""The page of tables: ``python -m reports.reference > docs/reference/tables.md``."""
+"""The page of tables: ``python -m econgs_bench.reports.reference > docs/reference/tables.md``."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from reports.schema import COLUMNS, TABLES, Column
+from econgs_bench.reports.schema import COLUMNS, TABLES, Column
 
 _TYPES = {"string": "text", "Int64": "whole number", "Float64": "number", "boolean": "true, false",
           "object": "list of numbers"}  # fmt: skip
 _BETTER = {1: ", higher is better", 0: "", -1: ", lower is better"}
 _HEAD = """# Tables of a run store
 
-`python -m reports.reference > docs/reference/tables.md` writes this page from `reports/schema.py`.
+`python -m econgs_bench.reports.reference > docs/reference/tables.md` writes this page from
+`reports/schema.py`.
 
 `RUNS/tables/*.parquet` and a bundle's `tables/*.csv` are normalised: `jobs` holds what a job determines, and
-other tables refer to it by `job`. `bench results --table NAME` and `reports.schema.read_tables(folder)` join
-them: every row then has the columns of its job that are listed under *from `jobs`*. Missing values are null,
-empty in CSV.
+other tables refer to it by `job`. `bench results --table NAME` and
+`econgs_bench.reports.schema.read_tables(folder)` join them: every row then has the columns of its job that
+are listed under *from `jobs`*. Missing values are null, empty in CSV.
 """
 
 

@@ -12,7 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from reports.style import MIB, mib, seconds
+from econgs_bench.reports.style import MIB, mib, seconds
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, TextIO, cast
 
-from reports.text import one_line, printable
+from econgs_bench.reports.text import one_line, printable
 
 LOST = 141
 """Exit code of a command that did its work but whose output could not be written: that of SIGPIPE."""
@@ -196,7 +196,7 @@ def console(name: str = "stdout", **options: Any) -> Any:
         name: "stdout" or "stderr".
         options: of ``rich.console.Console``.
 
-    Labels that it prints pass :func:`reports.text.one_line` first.
+    Labels that it prints pass :func:`.reports.text.one_line` first.
     """
     from rich.console import Console
 

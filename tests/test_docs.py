@@ -9,10 +9,10 @@ from types import ModuleType
 
 import pytest
 
-from bench.tune import Conditions, Point, Study, Trial
-from methods.econgs.spec import SPEC
-from methods.options import declared, resolve
-from reports.schema import TABLES, frame
+from econgs_bench.bench.tune import Conditions, Point, Study, Trial
+from econgs_bench.methods.econgs.spec import SPEC
+from econgs_bench.methods.options import declared, resolve
+from econgs_bench.reports.schema import TABLES, frame
 from tests.reports.tables.test_ladders import table as rungs
 
 ROOT = Path(__file__).parents[1]

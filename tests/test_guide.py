@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from methods.contract.checks import CHECKS
+from econgs_bench.methods.contract.checks import CHECKS
 
 PAGE = Path(__file__).parents[1] / "docs" / "guide" / "add-a-method.md"
 
@@ -27,8 +27,8 @@ class Shell:
         programs, installed = folder / "bin", folder / "installed"
         for path in (self.folder, programs, installed):
             path.mkdir()
-        for name in ("bench", "pip"):
-            (programs / name).write_text(f'#!/bin/sh\nexec "{sys.executable}" -m {name} "$@"\n')
+        for name, module in (("bench", "econgs_bench.bench"), ("pip", "pip")):
+            (programs / name).write_text(f'#!/bin/sh\nexec "{sys.executable}" -m {module} "$@"\n')
             (programs / name).chmod(0o755)
         self.environment = os.environ | {
             "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}",

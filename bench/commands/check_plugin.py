@@ -10,7 +10,7 @@ from textwrap import indent
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from methods.contract.checks import Outcome
+    from econgs_bench.methods.contract.checks import Outcome
 
 FAULTS = {
     "plugin": "the plugin's code",
@@ -21,17 +21,17 @@ FAULTS = {
 
 def check_plugin(options: Namespace) -> int:
     """Run the contract kit on a method; returns 1 if a promise is broken."""
-    from methods.interface import Refused
-    from methods.options import parse_assignments
-    from methods.registry import Registry, load_method
+    from econgs_bench.methods.interface import Refused
+    from econgs_bench.methods.options import parse_assignments
+    from econgs_bench.methods.registry import Registry, load_method
 
     folders = [Path(folder) for folder in options.plugins]
     spec = Registry(folders).spec(options.method)
     overrides = parse_assignments(f"{spec.name}.{text}" for text in options.set).get(spec.name, {})
     method = load_method(spec)
 
-    from bench.worker import prepare_device
-    from methods.contract.checks import Subject, run_checks
+    from econgs_bench.bench.worker import prepare_device
+    from econgs_bench.methods.contract.checks import Subject, run_checks
 
     try:
         prepare_device(options.device, spec)

@@ -62,10 +62,10 @@ def _torch() -> Finding:
 
 
 def _native() -> Finding:
-    from bench.provenance import native_isa
+    from econgs_bench.bench.provenance import native_isa
 
     try:
-        import econgs._native  # noqa: F401
+        import econgs_bench.econgs._native  # noqa: F401
     except ImportError as error:
         return Finding(
             "native core",
@@ -77,9 +77,9 @@ def _native() -> Finding:
 
 
 def _cores() -> Finding:
-    from bench.control_groups import cpu_quota
-    from bench.machine import clock_cap
-    from bench.timing import available_cores
+    from econgs_bench.bench.control_groups import cpu_quota
+    from econgs_bench.bench.machine import clock_cap
+    from econgs_bench.bench.timing import available_cores
 
     cores, quota, cap = available_cores(), cpu_quota(), clock_cap()
     detail = f"{cores} of {os.cpu_count()} usable"
@@ -96,7 +96,7 @@ def _cores() -> Finding:
 
 
 def _machine() -> Finding:
-    from bench.machine import BUSY, measure_load, user_text
+    from econgs_bench.bench.machine import BUSY, measure_load, user_text
 
     load = measure_load()
     parts = [f"others use {load.foreign:.1f} of {load.cores} cores"]
@@ -124,8 +124,8 @@ def _machine() -> Finding:
 
 
 def _ground_truth() -> Finding:
-    from datasets.errors import DataError
-    from datasets.ground_truth.probe import REMEDY, find_backend
+    from econgs_bench.datasets.errors import DataError
+    from econgs_bench.datasets.ground_truth.probe import REMEDY, find_backend
 
     try:
         backend = find_backend()
@@ -152,7 +152,7 @@ def _gpu() -> Finding:
 
 
 def _lpips() -> Finding:
-    from bench.metrics.lpips import BACKBONES, checkpoints
+    from econgs_bench.bench.metrics.lpips import BACKBONES, checkpoints
 
     folder = checkpoints()
     missing = [backbone.file for backbone in BACKBONES.values() if not (folder / backbone.file).is_file()]
@@ -163,7 +163,7 @@ def _lpips() -> Finding:
 
 
 def _data() -> Finding:
-    from datasets.catalogue import data_folders, list_datasets
+    from econgs_bench.datasets.catalogue import data_folders, list_datasets
 
     named = filter(None, os.environ.get("BENCH_DATA", "").split(os.pathsep))
     if missing := [part for part in named if not Path(part).expanduser().is_dir()]:
@@ -176,7 +176,7 @@ def _data() -> Finding:
 
 
 def _cache() -> Finding:
-    from datasets.view_cache import ViewCache
+    from econgs_bench.datasets.view_cache import ViewCache
 
     views = ViewCache()
     views.folder.mkdir(parents=True, exist_ok=True)

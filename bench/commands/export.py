@@ -8,19 +8,19 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.plugins import plugin_folders
-from bench.saved import load, picture
-from bench.store import Store
-from datasets.errors import DataError
-from datasets.names import unknown
-from reports.progress import step
+from econgs_bench.bench.plugins import plugin_folders
+from econgs_bench.bench.saved import load, picture
+from econgs_bench.bench.store import Store
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.names import unknown
+from econgs_bench.reports.progress import step
 
 if TYPE_CHECKING:
-    from bench.jobs.truth import Truth
-    from datasets.camera import Camera
-    from datasets.views import Split, ViewSet
-    from methods.gaussian_splatting.model import SceneGaussians
-    from methods.interface import Model
+    from econgs_bench.bench.jobs.truth import Truth
+    from econgs_bench.datasets.camera import Camera
+    from econgs_bench.datasets.views import Split, ViewSet
+    from econgs_bench.methods.gaussian_splatting.model import SceneGaussians
+    from econgs_bench.methods.interface import Model
 
 FORMATS = ("ply", "spz", "sog", "glb")
 _MEASURED = 8
@@ -29,7 +29,7 @@ _MEASURED = 8
 
 def export(options: Namespace) -> int:
     """Write the file, and say what it costs in the test views of the run store."""
-    from methods.gaussian_splatting.model import GaussianModel
+    from econgs_bench.methods.gaussian_splatting.model import GaussianModel
 
     file, name = Path(options.out), _format(options)
     store = Store(Path(options.runs))
@@ -86,7 +86,7 @@ def _truth(store: Store, job: str, scene: str) -> tuple[Truth, Split]:
     Raises:
         DataError: they are not in the store.
     """
-    from bench.jobs.truth import Truth
+    from econgs_bench.bench.jobs.truth import Truth
 
     waiting, seen = [job], set()
     while waiting:
@@ -111,10 +111,10 @@ def _plain(
     measure: Callable[[str, SceneGaussians], None],
 ) -> SceneGaussians:
     """Plain Gaussians: the model's own, or baked and distilled ones."""
-    from methods.baking.bake import baked, exact
-    from methods.baking.distil import distilled
-    from methods.formats.gaussians import drawable
-    from methods.interface import HasGaussians
+    from econgs_bench.methods.baking.bake import baked, exact
+    from econgs_bench.methods.baking.distil import distilled
+    from econgs_bench.methods.formats.gaussians import drawable
+    from econgs_bench.methods.interface import HasGaussians
 
     if not isinstance(model, HasGaussians):
         raise DataError(scene, "its model does not consist of Gaussians", "Export one of another method")
@@ -136,9 +136,9 @@ def _plain(
 
 def _written(file: Path, name: str, gaussians: SceneGaussians) -> int:
     """Write the file whole, or not at all; its bytes."""
-    from methods.interface import Refused
+    from econgs_bench.methods.interface import Refused
 
-    module = import_module(f"methods.formats.{name}")
+    module = import_module(f"econgs_bench.methods.formats.{name}")
     file.parent.mkdir(parents=True, exist_ok=True)
     part = file.with_name(f".{file.name}.part")
     try:
@@ -153,18 +153,18 @@ def _written(file: Path, name: str, gaussians: SceneGaussians) -> int:
 
 def _read(file: Path, name: str, gaussians: SceneGaussians) -> Model:
     """The model that the file holds; of glTF, which holds every number, the Gaussians that were written."""
-    from methods.formats.gaussians import scene_of
-    from methods.gaussian_splatting.model import GaussianModel
+    from econgs_bench.methods.formats.gaussians import scene_of
+    from econgs_bench.methods.gaussian_splatting.model import GaussianModel
 
     if name != "glb":
-        values = import_module(f"methods.formats.{name}").read(file)
+        values = import_module(f"econgs_bench.methods.formats.{name}").read(file)
         gaussians = scene_of(values, gaussians.name, gaussians.background, gaussians.sh_degree)
     return GaussianModel([gaussians])
 
 
 def _psnr(model: Model, scene: str, views: ViewSet) -> float:
     """Mean PSNR of views."""
-    from bench.metrics import evaluate
+    from econgs_bench.bench.metrics import evaluate
 
     total = 0.0
     for camera, image in zip(views.cameras, views.images, strict=True):

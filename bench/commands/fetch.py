@@ -9,13 +9,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from bench.commands.lists import size_text
-from bench.metrics.lpips import BACKBONES, checkpoints, is_sound
-from datasets.catalogue import entries
-from datasets.download import UNKNOWN_SIZE, Remote
-from datasets.download import fetch as download
-from datasets.errors import DataError
-from datasets.names import unknown
+from econgs_bench.bench.commands.lists import size_text
+from econgs_bench.bench.metrics.lpips import BACKBONES, checkpoints, is_sound
+from econgs_bench.datasets.catalogue import entries
+from econgs_bench.datasets.download import UNKNOWN_SIZE, Remote
+from econgs_bench.datasets.download import fetch as download
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.names import unknown
 
 LPIPS = "lpips"
 
@@ -67,7 +67,7 @@ def _request(name: str, out: Path | None) -> Request:
     if name == LPIPS:
         return _weights(out)
     if name.endswith(".toml"):
-        from datasets.catalogue.own import read_entry
+        from econgs_bench.datasets.catalogue.own import read_entry
 
         table = read_entry(Path(name).expanduser())
         folders = [Path(name).expanduser().resolve().parent, *entries.data_folders()]
@@ -149,7 +149,7 @@ def _bar(name: str) -> Iterator[Callable[[int, int | None], None]]:
         TimeRemainingColumn,
     )
 
-    from reports.terminal import console
+    from econgs_bench.reports.terminal import console
 
     columns = (
         TextColumn("{task.description}", markup=False),

@@ -9,8 +9,8 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
-from bench.store import Store, write_text
-from datasets.errors import DataError
+from econgs_bench.bench.store import Store, write_text
+from econgs_bench.datasets.errors import DataError
 
 ERROR = 3
 """Exit code of a baseline or store that cannot be read, or of files that cannot be written."""
@@ -18,11 +18,11 @@ ERROR = 3
 
 def baseline(options: Namespace) -> int:
     """Write the results of a store as a baseline, or update one: what the store lacks stays."""
-    from bench.gate import baseline as files
-    from bench.gate.cells import cells_of
-    from bench.provenance import commit_here
-    from bench.tables import build_tables
-    from reports.style import counted
+    from econgs_bench.bench.gate import baseline as files
+    from econgs_bench.bench.gate.cells import cells_of
+    from econgs_bench.bench.provenance import commit_here
+    from econgs_bench.bench.tables import build_tables
+    from econgs_bench.reports.style import counted
 
     path = Path(options.out)
     earlier = files.read(path) if path.exists() else None
@@ -65,10 +65,10 @@ def baseline(options: Namespace) -> int:
 
 def gate(options: Namespace) -> int:
     """Compare a store with a baseline; the exit code says pass, worse, not measured or error."""
-    from bench.gate import text
-    from bench.gate.baseline import read
-    from bench.gate.judgement import judged
-    from bench.gate.power import markdown
+    from econgs_bench.bench.gate import text
+    from econgs_bench.bench.gate.baseline import read
+    from econgs_bench.bench.gate.judgement import judged
+    from econgs_bench.bench.gate.power import markdown
 
     try:
         if options.power:

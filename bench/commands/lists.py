@@ -7,8 +7,8 @@ from argparse import Namespace
 from collections.abc import Iterable
 from pathlib import Path
 
-from reports.tables.grid import Field, to_lines
-from reports.terminal import line_width
+from econgs_bench.reports.tables.grid import Field, to_lines
+from econgs_bench.reports.terminal import line_width
 
 HEADS = {
     "methods": ("Name", "Version", "Title", "From"),
@@ -29,7 +29,7 @@ def list_names(options: Namespace) -> int:
 
 
 def _methods(options: Namespace) -> Iterable[tuple[str, ...]]:
-    from methods.registry import Registry
+    from econgs_bench.methods.registry import Registry
 
     registry = Registry(options.plugins)
     for name, reason in registry.broken.items():
@@ -38,7 +38,7 @@ def _methods(options: Namespace) -> Iterable[tuple[str, ...]]:
 
 
 def _datasets(options: Namespace) -> Iterable[tuple[str, ...]]:
-    from datasets.catalogue import list_datasets
+    from econgs_bench.datasets.catalogue import list_datasets
 
     missing = False
     for entry in list_datasets():
@@ -76,7 +76,7 @@ def _suites(options: Namespace) -> Iterable[tuple[str, ...]]:
 
 
 def _metrics(options: Namespace) -> Iterable[tuple[str, ...]]:
-    from bench.metrics import METRICS
+    from econgs_bench.bench.metrics import METRICS
 
     return [
         (

@@ -11,12 +11,12 @@ import uuid
 from argparse import Namespace
 from pathlib import Path
 
-from datasets.errors import DataError
+from econgs_bench.datasets.errors import DataError
 
 
 def new_method(options: Namespace) -> int:
     """Write the folder of a new method and print what to do with it."""
-    from methods.skeleton import files
+    from econgs_bench.methods.skeleton import files
 
     name, package = options.name, options.name.replace("-", "_")
     folder = Path(options.out).expanduser().resolve() / package
@@ -46,7 +46,7 @@ def _check(name: str, package: str) -> None:
     Raises:
         DataError: the reason.
     """
-    from methods.registry import Registry, check_name
+    from econgs_bench.methods.registry import Registry, check_name
 
     check_name(name, "bench new-method")
     if not package.isidentifier() or keyword.iskeyword(package):

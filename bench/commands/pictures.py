@@ -8,22 +8,22 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.jobs.measure import premultiplied
-from bench.plugins import plugin_folders
-from bench.saved import load, picture
-from bench.store import Store
-from datasets.errors import DataError
-from datasets.names import unknown
-from reports.progress import step
+from econgs_bench.bench.jobs.measure import premultiplied
+from econgs_bench.bench.plugins import plugin_folders
+from econgs_bench.bench.saved import load, picture
+from econgs_bench.bench.store import Store
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.names import unknown
+from econgs_bench.reports.progress import step
 
 if TYPE_CHECKING:
-    from methods.interface import Model
+    from econgs_bench.methods.interface import Model
 
 
 def render(options: Namespace) -> int:
     """Write views on the test path as PNG files: of the ground truth, or of a finished model."""
     if options.contact_sheet:
-        from bench.commands.sheets import contact_sheets
+        from econgs_bench.bench.commands.sheets import contact_sheets
 
         return contact_sheets(options)
     if options.truth and not options.model:
@@ -38,15 +38,15 @@ def render(options: Namespace) -> int:
 
 
 def _render(options: Namespace, dataset_name: str) -> None:
-    from bench import inputs
-    from bench.edits import parse_edits
-    from bench.metrics import evaluate
-    from bench.records import Request
-    from bench.suites import ViewPreset
-    from datasets.catalogue import open_dataset
-    from datasets.ground_truth.sampling import samples_of
-    from datasets.png import write_png
-    from datasets.render_views import announce_slow, cameras_of, views_of
+    from econgs_bench.bench import inputs
+    from econgs_bench.bench.edits import parse_edits
+    from econgs_bench.bench.metrics import evaluate
+    from econgs_bench.bench.records import Request
+    from econgs_bench.bench.suites import ViewPreset
+    from econgs_bench.datasets.catalogue import open_dataset
+    from econgs_bench.datasets.ground_truth.sampling import samples_of
+    from econgs_bench.datasets.png import write_png
+    from econgs_bench.datasets.render_views import announce_slow, cameras_of, views_of
 
     step(f"reading {dataset_name}")
     dataset = open_dataset(dataset_name)
@@ -116,8 +116,8 @@ def _model(options: Namespace) -> tuple[Model, tuple[str, ...]]:
 
 def score(options: Namespace) -> int:
     """Apply the metrics to two folders of images with the same names."""
-    from bench.commands.results import print_as
-    from bench.metrics.folders import score as score_folders
+    from econgs_bench.bench.commands.results import print_as
+    from econgs_bench.bench.metrics.folders import score as score_folders
 
     step("scoring")
     print_as(score_folders(Path(options.renders), Path(options.truth)), options.format)

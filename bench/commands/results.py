@@ -8,27 +8,27 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from bench.plugins import plugin_folders
-from bench.store import Store
-from bench.tables import build_tables
-from datasets.errors import DataError
-from reports.progress import step
-from reports.terminal import line_width, print_prose
-from reports.text import one_line
+from econgs_bench.bench.plugins import plugin_folders
+from econgs_bench.bench.store import Store
+from econgs_bench.bench.tables import build_tables
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.reports.progress import step
+from econgs_bench.reports.terminal import line_width, print_prose
+from econgs_bench.reports.text import one_line
 
 _MOST_NOTES = 12
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from methods.interface import MethodSpec
-    from reports.charts.report import Report
-    from reports.tables.grid import Field
+    from econgs_bench.methods.interface import MethodSpec
+    from econgs_bench.reports.charts.report import Report
+    from econgs_bench.reports.tables.grid import Field
 
 
 def results(options: Namespace) -> int:
     """Print a table of a store."""
-    from reports.comparability import notes
+    from econgs_bench.reports.comparability import notes
 
     store = Store(Path(options.runs))
     tables = build_tables(store, current(options.plugins, store.root), write=False)
@@ -50,11 +50,11 @@ def results(options: Namespace) -> int:
 
 def report(options: Namespace) -> int:
     """Print those of the paper's tables that a store has rows of, and write its HTML report."""
-    from reports.charts.report import Report
-    from reports.page.document import write_report
-    from reports.paper import claims, documents, verdicts
-    from reports.paper.evidence import of_report
-    from reports.paper.tables import lacking, paper_tables
+    from econgs_bench.reports.charts.report import Report
+    from econgs_bench.reports.page.document import write_report
+    from econgs_bench.reports.paper import claims, documents, verdicts
+    from econgs_bench.reports.paper.evidence import of_report
+    from econgs_bench.reports.paper.tables import lacking, paper_tables
 
     store = Store(Path(options.runs))
     page = _page(Path(options.out)) if options.out else store.root / "report.html"
@@ -78,8 +78,8 @@ def report(options: Namespace) -> int:
 
 def print_answers(contents: Report) -> None:
     """Print who is best at what, who leads races, and what is not compared."""
-    from reports.conclusions import races
-    from reports.conclusions.answers import to_text
+    from econgs_bench.reports.conclusions import races
+    from econgs_bench.reports.conclusions.answers import to_text
 
     if contents.contests:
         print_prose("\n".join(to_text(contents.contests[0], contents.answers)))
@@ -123,14 +123,14 @@ def _page(out: Path) -> Path:
 def print_as(table: pd.DataFrame, form: str) -> None:
     """Write a table to standard output as csv, md, tex or json."""
     if form == "csv":
-        from reports.tables.documents import to_csv
+        from econgs_bench.reports.tables.documents import to_csv
 
         sys.stdout.write(to_csv(table))
     elif form == "json":
         print(table.to_json(orient="records", indent=1, double_precision=15))
     else:
-        from reports.tables import documents
-        from reports.tables.protocols import by_protocol
+        from econgs_bench.reports.tables import documents
+        from econgs_bench.reports.tables.protocols import by_protocol
 
         writer: Any = documents.to_markdown if form == "md" else documents.to_latex
         print(writer(by_protocol({"results": table})["results"]))
@@ -138,15 +138,15 @@ def print_as(table: pd.DataFrame, form: str) -> None:
 
 def print_results(table: pd.DataFrame, *, jobs: bool = False) -> None:
     """The rows of a run, for people; with their jobs, which ``bench render --model`` takes."""
-    from reports.tables.protocols import by_protocol
-    from reports.tables.results import for_terminal
+    from econgs_bench.reports.tables.protocols import by_protocol
+    from econgs_bench.reports.tables.results import for_terminal
 
     _print_shared(*for_terminal(by_protocol({"results": table})["results"], line_width(), jobs=jobs))
 
 
 def print_stored(name: str, table: pd.DataFrame) -> None:
     """Any table of a run store, for people."""
-    from reports.tables.results import stored_for_terminal
+    from econgs_bench.reports.tables.results import stored_for_terminal
 
     _print_shared(*stored_for_terminal(name, table, line_width()))
 
@@ -160,7 +160,7 @@ def _print_shared(shared: str, fields: list[Field]) -> None:
 
 def print_table(table: pd.DataFrame) -> None:
     """A table made for people; columns that hold nothing are left out."""
-    from reports.tables.results import fitted
+    from econgs_bench.reports.tables.results import fitted
 
     names = [name for name in table.columns if table[name].replace("", None).notna().any()]
     _print_shared(*fitted(table, table[names], (), (), line_width()))
@@ -168,7 +168,7 @@ def print_table(table: pd.DataFrame) -> None:
 
 def print_grid(fields: Sequence[Field]) -> None:
     """Columns for people."""
-    from reports.tables.grid import to_lines
+    from econgs_bench.reports.tables.grid import to_lines
 
     for line in to_lines(
         [each._replace(cells=list(map(one_line, each.cells))) for each in fields], line_width()
@@ -178,6 +178,6 @@ def print_grid(fields: Sequence[Field]) -> None:
 
 def current(plugins: Iterable[str], *stores: Path) -> dict[str, MethodSpec]:
     """Method -> its spec of today, plugins included."""
-    from methods.registry import Registry
+    from econgs_bench.methods.registry import Registry
 
     return Registry(plugin_folders(plugins, *stores)).specs

@@ -8,29 +8,29 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bench.display import make_display, span
-from bench.estimates import Estimate, Past
-from bench.plan import Planner
-from bench.plugins import plugin_folders
-from bench.records import Job, Record
-from bench.selection import Selection
-from bench.store import Store
-from bench.suites import load_suite
-from bench.versions import of_other_source
-from reports.progress import step
-from reports.style import counted
+from econgs_bench.bench.display import make_display, span
+from econgs_bench.bench.estimates import Estimate, Past
+from econgs_bench.bench.plan import Planner
+from econgs_bench.bench.plugins import plugin_folders
+from econgs_bench.bench.records import Job, Record
+from econgs_bench.bench.selection import Selection
+from econgs_bench.bench.store import Store
+from econgs_bench.bench.suites import load_suite
+from econgs_bench.bench.versions import of_other_source
+from econgs_bench.reports.progress import step
+from econgs_bench.reports.style import counted
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from bench.executor import Outcome
+    from econgs_bench.bench.executor import Outcome
 
 
 def run(options: Namespace) -> int:
     """Run the jobs of a suite and its selectors, then print the results and write the report."""
-    from bench.experiment import execute
-    from bench.tables import build_tables, stored_tables
-    from reports.schema import joined
+    from econgs_bench.bench.experiment import execute
+    from econgs_bench.bench.tables import build_tables, stored_tables
+    from econgs_bench.reports.schema import joined
 
     done = execute(
         _selection(options),
@@ -49,11 +49,11 @@ def run(options: Namespace) -> int:
     if len(own) == len(frames["results"]):  # else a newer measurement has taken the place of one
         frames["results"] = own
     if len(frames["results"]) or len(frames["rungs"]) or len(frames["dvr"]):
-        from bench.commands.results import print_answers, print_results, print_table
-        from reports.conclusions.ladders import summary
-        from reports.paper.datasets import costs
-        from reports.tables.ladders import climbed, ladders
-        from reports.terminal import print_prose
+        from econgs_bench.bench.commands.results import print_answers, print_results, print_table
+        from econgs_bench.reports.conclusions.ladders import summary
+        from econgs_bench.reports.paper.datasets import costs
+        from econgs_bench.reports.tables.ladders import climbed, ladders
+        from econgs_bench.reports.terminal import print_prose
 
         if len(frames["results"]):
             print_results(frames["results"])
@@ -64,10 +64,10 @@ def run(options: Namespace) -> int:
         page = store.root / "report.html"
         if not options.no_report:
             if outcome.ran or not page.is_file():
-                from reports.charts.report import Report
-                from reports.page.document import write_report
-                from reports.paper.layouts import layouts
-                from reports.paper.tables import lacking, paper_tables
+                from econgs_bench.reports.charts.report import Report
+                from econgs_bench.reports.page.document import write_report
+                from econgs_bench.reports.paper.layouts import layouts
+                from econgs_bench.reports.paper.tables import lacking, paper_tables
 
                 contents = Report(tables)
                 paper = paper_tables(tables, contents.views)
@@ -88,16 +88,16 @@ def run(options: Namespace) -> int:
 
 def _disturbed(results: pd.DataFrame) -> int:
     """Number of times that take no part in conclusions, as something disturbed them."""
-    from reports.clocks import CLOCKS
-    from reports.comparability import DISTURBED, kind_of
-    from reports.schema import records
+    from econgs_bench.reports.clocks import CLOCKS
+    from econgs_bench.reports.comparability import DISTURBED, kind_of
+    from econgs_bench.reports.schema import records
 
     return sum(kind_of(row, name) == DISTURBED for row in records(results) for name in CLOCKS)
 
 
 def execution(options: Namespace) -> dict[str, Any]:
-    """How jobs are run, as :func:`bench.experiment.execute` takes it."""
-    from bench.limits import Limits
+    """How jobs are run, as :func:`.bench.experiment.execute` takes it."""
+    from econgs_bench.bench.limits import Limits
 
     return {
         "retry": options.retry or False,
@@ -182,8 +182,8 @@ def _state(job: Job, record: Record | None, estimate: Estimate | None, store: St
 
 def _selection(options: Namespace) -> Selection:
     """What the command line selects; its plugin folders are chosen by the run."""
-    from datasets.ground_truth.sampling import samples_of
-    from methods.options import parse_assignments
+    from econgs_bench.datasets.ground_truth.sampling import samples_of
+    from econgs_bench.methods.options import parse_assignments
 
     return Selection(
         suite=load_suite(options.suite),

@@ -6,8 +6,8 @@ import time
 from argparse import Namespace
 from dataclasses import replace
 
-from datasets.errors import DataError
-from reports.progress import step
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.reports.progress import step
 
 NUMBERS = (1, 4, 9, 16, 64, 0)
 """Samples that are compared; 0: as many as each pixel needs."""
@@ -18,12 +18,12 @@ def samples(options: Namespace) -> int:
     """Print, for each scene and number of rays, its pictures' metrics against finer ones, and their cost."""
     import pandas as pd
 
-    from bench.commands.results import print_as
-    from bench.metrics import mean_scores
-    from datasets.catalogue import open_dataset
-    from datasets.render_views import FLOOR_VIEWS, announce_slow, finer_views, live_renderer
-    from datasets.views import ViewRequest
-    from reports.schema import rays
+    from econgs_bench.bench.commands.results import print_as
+    from econgs_bench.bench.metrics import mean_scores
+    from econgs_bench.datasets.catalogue import open_dataset
+    from econgs_bench.datasets.render_views import FLOOR_VIEWS, announce_slow, finer_views, live_renderer
+    from econgs_bench.datasets.views import ViewRequest
+    from econgs_bench.reports.schema import rays
 
     dataset = open_dataset(options.dataset)
     if dataset.kind == "views":

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import DataError
-from reports.progress import step
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.reports.progress import step
 
 if TYPE_CHECKING:
-    from datasets.scene import Dataset
+    from econgs_bench.datasets.scene import Dataset
 
 EMPTY, SAME, BOX = 0.005, 0.5, 0.8
 """Visible share of a nearly empty scene, overlap of two alike ones, and covered share of a solid box."""
@@ -52,10 +52,10 @@ class Account:
 
 def scenes(options: Namespace) -> int:
     """Write an entry for a volume file unless there is one, and draw its contact sheet."""
-    from bench.commands.sheets import draw_sheet
-    from datasets.catalogue import open_dataset
-    from datasets.catalogue.proposal import write_entry
-    from datasets.render_views import announce_slow
+    from econgs_bench.bench.commands.sheets import draw_sheet
+    from econgs_bench.datasets.catalogue import open_dataset
+    from econgs_bench.datasets.catalogue.proposal import write_entry
+    from econgs_bench.datasets.render_views import announce_slow
 
     announce_slow()
     step(f"reading {options.file}")
@@ -97,8 +97,8 @@ def scenes(options: Namespace) -> int:
 
 def _steps(dataset: Dataset) -> Iterator[str]:
     """A line for each file with several time steps."""
-    from datasets.catalogue.files import FileField
-    from datasets.readers import list_variables
+    from econgs_bench.datasets.catalogue.files import FileField
+    from econgs_bench.datasets.readers import list_variables
 
     requests = {f.request.path: f.request for f in dataset.volumes.values() if isinstance(f, FileField)}
     for path, request in requests.items():
@@ -112,7 +112,7 @@ def _steps(dataset: Dataset) -> Iterator[str]:
 
 def _name(options: Namespace) -> str:
     """The file with the choices of the options: ``PATH:variable=T,range=0,100``."""
-    from datasets.readers.naming import parse_numbers, parse_range, split
+    from econgs_bench.datasets.readers.naming import parse_numbers, parse_range, split
 
     choices = []
     if options.range is not None:
@@ -128,9 +128,9 @@ def _name(options: Namespace) -> str:
 
 def _entry(options: Namespace) -> tuple[Path, Dataset]:
     """The entry's file, and the dataset with automatic scenes that it is to hold."""
-    from datasets.catalogue import open_dataset
-    from datasets.catalogue.entries import names
-    from datasets.catalogue.files import FileField
+    from econgs_bench.datasets.catalogue import open_dataset
+    from econgs_bench.datasets.catalogue.entries import names
+    from econgs_bench.datasets.catalogue.files import FileField
 
     if options.out and not options.out.endswith(".toml"):
         raise DataError(options.out, "is no name of an entry", "Give it the suffix .toml")
@@ -196,8 +196,8 @@ class _Look(NamedTuple):
 
 def _grids(dataset: Dataset) -> Iterator[tuple[list[_Look], NDArray[np.float64]]]:
     """The scenes of each grid, and how much of the visible voxels any two have in common."""
-    from datasets.framing import visible_voxels
-    from datasets.visibility import Samples, overlaps
+    from econgs_bench.datasets.framing import visible_voxels
+    from econgs_bench.datasets.visibility import Samples, overlaps
 
     grids: dict[tuple[object, ...], list[tuple[_Look, NDArray[np.bool_]]]] = {}
     for variable in dict.fromkeys(scene.variable for scene in dataset.scenes):

@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from datasets.errors import DataError
-from reports.progress import step
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.reports.progress import step
 
 if TYPE_CHECKING:
-    from datasets.scene import BasicScene, Dataset
-    from reports.pictures.contact_sheet import Tile
+    from econgs_bench.datasets.scene import BasicScene, Dataset
+    from econgs_bench.reports.pictures.contact_sheet import Tile
 
 _ENTRIES = 2048  # of a drawn transfer function
 
 
 def contact_sheets(options: Namespace) -> int:
     """Write one sheet per dataset; without a name, of every dataset of the catalogue that is here."""
-    from datasets.catalogue import list_datasets, open_dataset
-    from datasets.render_views import announce_slow
+    from econgs_bench.datasets.catalogue import list_datasets, open_dataset
+    from econgs_bench.datasets.render_views import announce_slow
 
     if options.model:
         raise DataError("--contact-sheet", "shows ground truth only", "Leave --model out")
@@ -64,8 +64,8 @@ def draw_sheet(
         UnknownName: no such scene.
         DataError: the data cannot be read.
     """
-    from datasets.png import write_png
-    from reports.pictures.contact_sheet import contact_sheet
+    from econgs_bench.datasets.png import write_png
+    from econgs_bench.reports.pictures.contact_sheet import contact_sheet
 
     names = scenes or [*(scene.name for scene in dataset.scenes), *dataset.compositions]
     tiles = []
@@ -77,9 +77,9 @@ def draw_sheet(
 
 
 def _tile(dataset: Dataset, name: str, count: int, size: tuple[int, int], notes: Mapping[str, str]) -> Tile:
-    from bench.inputs import request, views
-    from bench.suites import ViewPreset
-    from reports.pictures.contact_sheet import Tile
+    from econgs_bench.bench.inputs import request, views
+    from econgs_bench.bench.suites import ViewPreset
+    from econgs_bench.reports.pictures.contact_sheet import Tile
 
     preset = ViewPreset(12, count, *size, prerendered_limit=max(size))
     parts = dataset.parts(name)
@@ -99,8 +99,8 @@ def _tile(dataset: Dataset, name: str, count: int, size: tuple[int, int], notes:
 
 def _curves(dataset: Dataset, scene: BasicScene):  # type: ignore[no-untyped-def]
     """Histogram, transfer function and levels of a basic scene."""
-    from bench.inputs import transfer_table
-    from datasets.auto_transfer import statistics
+    from econgs_bench.bench.inputs import transfer_table
+    from econgs_bench.datasets.auto_transfer import statistics
 
     histogram = statistics(dataset.volume(scene.variable)).count
     if scene.transfer is None:
@@ -110,7 +110,7 @@ def _curves(dataset: Dataset, scene: BasicScene):  # type: ignore[no-untyped-def
 
 def _with_automatic(dataset: Dataset) -> Dataset:
     """The dataset with the automatic scenes of its variables after its own."""
-    from datasets.auto_transfer import automatic_scenes
+    from econgs_bench.datasets.auto_transfer import automatic_scenes
 
     automatic = [
         replace(scene, name=f"auto {variable} {scene.name}")

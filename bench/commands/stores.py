@@ -11,20 +11,20 @@ from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
 
-from bench.commands.results import current, report_damage
-from bench.comparison import compared
-from bench.plugins import remember, resolved
-from bench.rungs import ladders_of
-from bench.rungs import remember as remember_ladders
-from bench.store import Store
-from bench.tables import build_tables
-from datasets.errors import DataError, printable
-from reports.progress import step
+from econgs_bench.bench.commands.results import current, report_damage
+from econgs_bench.bench.comparison import compared
+from econgs_bench.bench.plugins import remember, resolved
+from econgs_bench.bench.rungs import ladders_of
+from econgs_bench.bench.rungs import remember as remember_ladders
+from econgs_bench.bench.store import Store
+from econgs_bench.bench.tables import build_tables
+from econgs_bench.datasets.errors import DataError, printable
+from econgs_bench.reports.progress import step
 
 
 def merge(options: Namespace) -> int:
     """Join stores and bundles: a job finished in one is finished in all; a success goes before a failure."""
-    from bench.bundle import unpacked
+    from econgs_bench.bench.bundle import unpacked
 
     with ExitStack() as stack:
         step("checking what is to be joined")
@@ -80,11 +80,11 @@ def compare(options: Namespace) -> int:
             "Compare runs of the same selection",
         )
     if options.format:
-        from bench.commands.results import print_as
+        from econgs_bench.bench.commands.results import print_as
 
         print_as(table, options.format)
     else:
-        from bench.commands.results import print_table
+        from econgs_bench.bench.commands.results import print_table
 
         print_table(table)
         print("difference: second - first, mean over the paired views; least and greatest of any view")
@@ -98,7 +98,7 @@ def compare(options: Namespace) -> int:
 
 def cache(options: Namespace) -> int:
     """Tell what the ground-truth cache takes, or shrink it."""
-    from datasets.view_cache import ViewCache
+    from econgs_bench.datasets.view_cache import ViewCache
 
     views = ViewCache()
     if options.action == "prune":
@@ -110,7 +110,7 @@ def cache(options: Namespace) -> int:
 
 def bundle(options: Namespace) -> int:
     """Write a submission bundle of a store."""
-    from bench.bundle import write_bundle
+    from econgs_bench.bench.bundle import write_bundle
 
     out, store = Path(options.out), Store(Path(options.runs))
     step(f"packing {store.root}")
@@ -132,7 +132,7 @@ def repair(options: Namespace) -> int:
 
 def verify(options: Namespace) -> int:
     """Check a bundle: 0 all of it holds, 1 something does not, 2 models could not be measured here."""
-    from bench.bundle import unpack
+    from econgs_bench.bench.bundle import unpack
 
     path = Path(options.bundle)
     step(f"checking {path}")
@@ -142,8 +142,8 @@ def verify(options: Namespace) -> int:
         _print_lines([f"note: {note}" for note in verdict.notes])
         if verdict.problems or not options.redo:
             return _conclude(path, len(verdict.problems), "all of it holds")
-        from bench.limits import Limits
-        from bench.redo import redo
+        from econgs_bench.bench.limits import Limits
+        from econgs_bench.bench.redo import redo
 
         step(f"measuring {options.redo} models again")
         redone = redo(

@@ -8,10 +8,10 @@ from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
-from bench.commands.results import print_grid
-from bench.commands.run import execution
-from bench.store import Store
-from bench.tune import (
+from econgs_bench.bench.commands.results import print_grid
+from econgs_bench.bench.commands.run import execution
+from econgs_bench.bench.store import Store
+from econgs_bench.bench.tune import (
     Study,
     Trial,
     Trials,
@@ -23,12 +23,12 @@ from bench.tune import (
     smaller,
     studies,
 )
-from datasets.errors import DataError
-from methods.options import label, written
-from reports.tables.grid import Field
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.methods.options import label, written
+from econgs_bench.reports.tables.grid import Field
 
 _STARTS = {"paper": "published settings", "fair": "its own defaults"}
-"""Starting points, as :attr:`bench.tune.Chosen.gains` names them -> for people."""
+"""Starting points, as :attr:`.bench.tune.Chosen.gains` names them -> for people."""
 
 
 def tune(options: Namespace) -> int:
@@ -39,11 +39,11 @@ def tune(options: Namespace) -> int:
 
 
 def _run(options: Namespace) -> int:
-    from bench.display import make_display
-    from bench.experiment import execute
-    from bench.selection import Selection
-    from bench.suites import load_suite
-    from bench.tables import build_tables
+    from econgs_bench.bench.display import make_display
+    from econgs_bench.bench.experiment import execute
+    from econgs_bench.bench.selection import Selection
+    from econgs_bench.bench.suites import load_suite
+    from econgs_bench.bench.tables import build_tables
 
     selection = Selection(
         suite=load_suite(options.suite),
@@ -108,8 +108,8 @@ def _show(options: Namespace) -> int:
 
 def _fixed(options: Namespace) -> dict[str, bool | int | float | str]:
     """Options that every trial has."""
-    from datasets.names import unknown
-    from methods.options import parse_assignments
+    from econgs_bench.datasets.names import unknown
+    from econgs_bench.methods.options import parse_assignments
 
     given = parse_assignments(options.set)
     for name in given:

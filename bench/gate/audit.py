@@ -8,10 +8,10 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from bench.gate.cells import Key
-from bench.gate.verdict import Finding
-from reports.schema import COVERAGE, METRICS
-from reports.style import absent
+from econgs_bench.bench.gate.cells import Key
+from econgs_bench.bench.gate.verdict import Finding
+from econgs_bench.reports.schema import COVERAGE, METRICS
+from econgs_bench.reports.style import absent
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -12,12 +12,12 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from bench.gate.cells import AND, Cell, Key, Options
-from bench.gate.identity import Identity
-from bench.gate.identity import differences as reasons
-from bench.gate.quantities import QUANTITIES
-from bench.store import write_text
-from datasets.errors import DataError
+from econgs_bench.bench.gate.cells import AND, Cell, Key, Options
+from econgs_bench.bench.gate.identity import Identity
+from econgs_bench.bench.gate.identity import differences as reasons
+from econgs_bench.bench.gate.quantities import QUANTITIES
+from econgs_bench.bench.store import write_text
+from econgs_bench.datasets.errors import DataError
 
 FORMAT = 1
 LEAST_SEEDS = 3

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from bench.gate.identity import Identity
-from bench.gate.quantities import QUANTITIES
-from bench.store import Store
-from reports.clocks import CLOCKS, Clocks
-from reports.style import absent, label
-from reports.tables.protocols import by_scene_choice
+from econgs_bench.bench.gate.identity import Identity
+from econgs_bench.bench.gate.quantities import QUANTITIES
+from econgs_bench.bench.store import Store
+from econgs_bench.reports.clocks import CLOCKS, Clocks
+from econgs_bench.reports.style import absent, label
+from econgs_bench.reports.tables.protocols import by_scene_choice
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -8,8 +8,8 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
-from reports.comparability import pair_differences
-from reports.style import absent
+from econgs_bench.reports.comparability import pair_differences
+from econgs_bench.reports.style import absent
 
 CONTENTS, TRUTH, RENDERER = "contents", "truth", "renderer"
 """Kinds of differences beside those of single quantities, which have the quantity's name."""
@@ -43,6 +43,6 @@ class Identity(BaseModel):
 
 
 def differences(old: Identity, new: Identity) -> dict[str, str]:
-    """Kind -> why a baseline's identity and a run's do not compare (:mod:`reports.comparability`)."""
+    """Kind -> why a baseline's identity and a run's do not compare (:mod:`.reports.comparability`)."""
     found = pair_differences(old.model_dump(), new.model_dump())
     return {_FRAMES if kind == "ruler" else kind: reason for kind, reason in found.items()}

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bench.gate.audit import audit
-from bench.gate.baseline import Baseline, read
-from bench.gate.cells import cells_of
-from bench.gate.verdict import Verdict, compare
-from bench.store import Store
-from bench.tables import build_tables
+from econgs_bench.bench.gate.audit import audit
+from econgs_bench.bench.gate.baseline import Baseline, read
+from econgs_bench.bench.gate.cells import cells_of
+from econgs_bench.bench.gate.verdict import Verdict, compare
+from econgs_bench.bench.store import Store
+from econgs_bench.bench.tables import build_tables
 
 
 def judged(path: Path, root: Path, *, times: bool = True) -> tuple[Verdict, Baseline]:

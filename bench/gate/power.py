@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bench.gate.baseline import Baseline
-from bench.gate.quantities import QUANTITIES, Quantity
-from bench.gate.verdict import Scope, tolerances
-from reports.style import counted
+from econgs_bench.bench.gate.baseline import Baseline
+from econgs_bench.bench.gate.quantities import QUANTITIES, Quantity
+from econgs_bench.bench.gate.verdict import Scope, tolerances
+from econgs_bench.reports.style import counted
 
 SEEDS = (1, 3)
 _SCOPES: tuple[Scope, ...] = ("a scene", "a method's mean", "a view")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from bench.gate.verdict import Finding
+    from econgs_bench.bench.gate.verdict import Finding
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -27,9 +27,9 @@ def pytest_collection_modifyitems(
     path = config.getoption("--bench-gate")
     if not path:
         return
-    from bench.gate.judgement import judged
-    from bench.gate.text import findings_by_cell
-    from datasets.errors import DataError
+    from econgs_bench.bench.gate.judgement import judged
+    from econgs_bench.bench.gate.text import findings_by_cell
+    from econgs_bench.datasets.errors import DataError
 
     times = config.getoption("--bench-times")
     try:

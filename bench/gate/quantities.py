@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from reports.schema import by_name
+from econgs_bench.reports.schema import by_name
 
 
 @dataclass(frozen=True)

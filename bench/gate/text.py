@@ -6,10 +6,10 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from pathlib import Path
 
-from bench.gate.baseline import Baseline
-from bench.gate.verdict import LEVEL, Finding, Verdict
-from bench.store import write_text
-from reports.text import markdown_cell, one_line, xml_text
+from econgs_bench.bench.gate.baseline import Baseline
+from econgs_bench.bench.gate.verdict import LEVEL, Finding, Verdict
+from econgs_bench.bench.store import write_text
+from econgs_bench.reports.text import markdown_cell, one_line, xml_text
 
 
 def lines(verdict: Verdict) -> Iterator[str]:
@@ -71,7 +71,7 @@ def write_junit(path: Path, verdict: Verdict) -> None:
         failures=str(sum(any(f.kind == "worse" for f in found) for found in by_cell.values())),
     )  # fmt: skip
     for cell, findings in by_cell.items():
-        case = ElementTree.SubElement(suite, "testcase", classname="bench.gate", name=cell)
+        case = ElementTree.SubElement(suite, "testcase", classname="econgs_bench.bench.gate", name=cell)
         worse = [f.text for f in findings if f.kind == "worse"]
         absent = [f.text for f in findings if f.kind == "not measured"]
         if worse:

@@ -1,7 +1,7 @@
 """The gate's verdict: which results are worse than the baseline by more than repetitions differ.
 
 Each quantity of each cell, each method's mean over scenes, and each view are tested by Student's t. The
-variance of a seed is that of the cell's own seeds, moderated by all cells (:mod:`bench.gate.spread`). Holm's
+variance of a seed is that of the cell's own seeds, moderated by all cells (:mod:`.bench.gate.spread`). Holm's
 correction keeps the probability of any false alarm under :data:`LEVEL`. Where the files of a model are those
 of the baseline, nothing random is left: its results must be equal.
 """
@@ -16,13 +16,13 @@ from typing import Literal
 
 import numpy as np
 
-from bench.gate.baseline import VIEW_ROUNDING, Baseline, BaselineCell, differences, rounding
-from bench.gate.cells import VIEW_METRIC, Cell, Key, Values
-from bench.gate.identity import CONTENTS, RENDERER, TRUTH, Identity
-from bench.gate.identity import differences as reasons
-from bench.gate.quantities import QUANTITIES, Quantity
-from bench.gate.spread import Prior, prior, quantile, tail, variance_of, without_rounding
-from reports.clocks import BUSY
+from econgs_bench.bench.gate.baseline import VIEW_ROUNDING, Baseline, BaselineCell, differences, rounding
+from econgs_bench.bench.gate.cells import VIEW_METRIC, Cell, Key, Values
+from econgs_bench.bench.gate.identity import CONTENTS, RENDERER, TRUTH, Identity
+from econgs_bench.bench.gate.identity import differences as reasons
+from econgs_bench.bench.gate.quantities import QUANTITIES, Quantity
+from econgs_bench.bench.gate.spread import Prior, prior, quantile, tail, variance_of, without_rounding
+from econgs_bench.reports.clocks import BUSY
 
 LEVEL = 0.01
 """Probability of any false alarm in a comparison, in either direction."""
@@ -256,7 +256,7 @@ class _Pair:
     """A cell before and after.
 
     Attributes:
-        reasons: kind -> why something does not compare (:func:`bench.gate.identity.differences`).
+        reasons: kind -> why something does not compare (:func:`.bench.gate.identity.differences`).
         values: seed -> values of the run that are of the baseline's truth.
         equal: seeds whose models have the files of the baseline.
         free: seeds of the run whose results have a chance to differ.

@@ -10,16 +10,16 @@ from typing import Any, cast, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.monitor import as_numpy
-from datasets.camera import Camera
-from methods.interface import Decoding
+from econgs_bench.bench.monitor import as_numpy
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.methods.interface import Decoding
 
 
 def picture(answer: Any, camera: Camera) -> tuple[NDArray[Any], NDArray[Any]]:
     """Colors and alpha of a rendered view.
 
     Raises:
-        RuntimeError: they are not those that :meth:`methods.interface.Model.render` promises.
+        RuntimeError: they are not those that :meth:`.methods.interface.Model.render` promises.
         FloatingPointError: their values are not finite.
     """
     view = f"in view {camera.name}"

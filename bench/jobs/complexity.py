@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.jobs.context import Context
-from bench.records import ComplexityResult
-from datasets.catalogue import open_dataset
-from datasets.transfer import TransferFunction
-from datasets.volume import Volume
+from econgs_bench.bench.jobs.context import Context
+from econgs_bench.bench.records import ComplexityResult
+from econgs_bench.datasets.catalogue import open_dataset
+from econgs_bench.datasets.transfer import TransferFunction
+from econgs_bench.datasets.volume import Volume
 
 CODER = "LZMA2, preset 6, of differences along x (liblzma)"
 _FILTERS: list[dict[str, Any]] = [

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bench.jobs.truth import Truth
-from bench.monitor import Progress, Stop
-from bench.records import Job, Record
-from bench.store import Store
-from methods.interface import Method, MethodSpec
-from methods.registry import load_method
+from econgs_bench.bench.jobs.truth import Truth
+from econgs_bench.bench.monitor import Progress, Stop
+from econgs_bench.bench.records import Job, Record
+from econgs_bench.bench.store import Store
+from econgs_bench.methods.interface import Method, MethodSpec
+from econgs_bench.methods.registry import load_method
 
 
 @dataclass

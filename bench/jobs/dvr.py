@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import time
 
-from bench.inputs import view_request
-from bench.jobs.context import Context
-from bench.records import DvrResult
-from bench.timing import time_frames
-from datasets.catalogue import open_dataset
-from datasets.memory import peak_drjit_device_bytes, peak_host_bytes
-from datasets.render_views import live_renderer
+from econgs_bench.bench.inputs import view_request
+from econgs_bench.bench.jobs.context import Context
+from econgs_bench.bench.records import DvrResult
+from econgs_bench.bench.timing import time_frames
+from econgs_bench.datasets.catalogue import open_dataset
+from econgs_bench.datasets.memory import peak_drjit_device_bytes, peak_host_bytes
+from econgs_bench.datasets.render_views import live_renderer
 
 
 def run(context: Context) -> DvrResult:

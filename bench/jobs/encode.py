@@ -5,12 +5,12 @@ from __future__ import annotations
 import shutil
 import time
 
-from bench.checkpoints import read_checkpoint
-from bench.jobs import answers
-from bench.jobs.context import Context
-from bench.records import EncodeResult
-from bench.timing import synchronise
-from methods.interface import check_ledger
+from econgs_bench.bench.checkpoints import read_checkpoint
+from econgs_bench.bench.jobs import answers
+from econgs_bench.bench.jobs.context import Context
+from econgs_bench.bench.records import EncodeResult
+from econgs_bench.bench.timing import synchronise
+from econgs_bench.methods.interface import check_ledger
 
 
 def run(context: Context) -> EncodeResult:

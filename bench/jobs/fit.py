@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bench.jobs import answers
-from bench.jobs.context import Context
-from bench.jobs.scenes import scene_inputs
-from bench.monitor import FitMonitor
-from bench.records import FitResult, derived_seed
-from bench.stress import stress_of
-from bench.timing import mean_of, reference_seconds, synchronise, worst_of
-from datasets.units import views_in_units
-from datasets.views import ViewSet, evenly_spaced
-from methods.interface import Budget, MethodSpec, Refused, SceneInput
+from econgs_bench.bench.jobs import answers
+from econgs_bench.bench.jobs.context import Context
+from econgs_bench.bench.jobs.scenes import scene_inputs
+from econgs_bench.bench.monitor import FitMonitor
+from econgs_bench.bench.records import FitResult, derived_seed
+from econgs_bench.bench.stress import stress_of
+from econgs_bench.bench.timing import mean_of, reference_seconds, synchronise, worst_of
+from econgs_bench.datasets.units import views_in_units
+from econgs_bench.datasets.views import ViewSet, evenly_spaced
+from econgs_bench.methods.interface import Budget, MethodSpec, Refused, SceneInput
 
 CURVE_VIEWS = 4
 """Number of views of each scene for anytime evaluations."""

@@ -9,19 +9,26 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from bench.edits import edit_of, edits_of
-from bench.identity import renderer_of, sketch
-from bench.jobs import answers
-from bench.jobs.context import Context
-from bench.records import FrameTimes, MeasureResult, PruningResult, ViewResult
-from bench.stress import stress_of
-from bench.supersampling import drawn_as
-from bench.timing import MEASURE_SECONDS, RULERS, median_timings, peak_device_bytes, synchronise, time_frames
-from datasets.memory import peak_host_bytes
-from datasets.units import camera_in_units
-from datasets.views import evenly_spaced
-from methods.interface import HasAttributes, HasDecoders, HasGaussians, Method, Model, Refused
-from reports.schema import COVERAGE
+from econgs_bench.bench.edits import edit_of, edits_of
+from econgs_bench.bench.identity import renderer_of, sketch
+from econgs_bench.bench.jobs import answers
+from econgs_bench.bench.jobs.context import Context
+from econgs_bench.bench.records import FrameTimes, MeasureResult, PruningResult, ViewResult
+from econgs_bench.bench.stress import stress_of
+from econgs_bench.bench.supersampling import drawn_as
+from econgs_bench.bench.timing import (
+    MEASURE_SECONDS,
+    RULERS,
+    median_timings,
+    peak_device_bytes,
+    synchronise,
+    time_frames,
+)
+from econgs_bench.datasets.memory import peak_host_bytes
+from econgs_bench.datasets.units import camera_in_units
+from econgs_bench.datasets.views import evenly_spaced
+from econgs_bench.methods.interface import HasAttributes, HasDecoders, HasGaussians, Method, Model, Refused
+from econgs_bench.reports.schema import COVERAGE
 
 DECODING_SECONDS = 0.5
 """Time for which frames with decoding are timed, of a model that is decoded once."""
@@ -29,9 +36,9 @@ COUNTED = 8
 """Most views in which the drawn Gaussians are counted."""
 
 if TYPE_CHECKING:
-    from datasets.camera import Camera
-    from datasets.scene import RGB
-    from datasets.views import ViewSet
+    from econgs_bench.datasets.camera import Camera
+    from econgs_bench.datasets.scene import RGB
+    from econgs_bench.datasets.views import ViewSet
 
 
 def run(context: Context) -> MeasureResult:
@@ -87,10 +94,10 @@ def run(context: Context) -> MeasureResult:
     )
 
     context.report(stage="metrics")
-    from bench.metrics import evaluate, mean
-    from bench.metrics.flicker import Flicker, is_dense
-    from bench.metrics.image import to_8bit
-    from datasets.png import write_png
+    from econgs_bench.bench.metrics import evaluate, mean
+    from econgs_bench.bench.metrics.flicker import Flicker, is_dense
+    from econgs_bench.bench.metrics.image import to_8bit
+    from econgs_bench.datasets.png import write_png
 
     views = truth.views(job.split)
     out = context.folder / "renders"
@@ -155,7 +162,7 @@ def _pruning(
     """What the model of a basic scene could do without; None where it tells no Gaussians apart."""
     if not isinstance(model, HasGaussians):
         return None
-    from bench.pruning import pruning
+    from econgs_bench.bench.pruning import pruning
 
     context.report(stage="pruning")
     scene = context.job.subject

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 
-from bench.jobs.context import Context
-from bench.jobs.scenes import scene_inputs
-from bench.records import PartitionResult
-from bench.timing import synchronise
+from econgs_bench.bench.jobs.context import Context
+from econgs_bench.bench.jobs.scenes import scene_inputs
+from econgs_bench.bench.records import PartitionResult
+from econgs_bench.bench.timing import synchronise
 
 
 def run(context: Context) -> PartitionResult:

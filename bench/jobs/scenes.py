@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from bench.jobs.context import Context
-from bench.records import derived_seed
-from bench.stress import stress_of
-from datasets.camera import Camera
-from datasets.catalogue import open_dataset
-from datasets.scene import Dataset
-from datasets.scratch import picked
-from datasets.stress import (
+from econgs_bench.bench.jobs.context import Context
+from econgs_bench.bench.records import derived_seed
+from econgs_bench.bench.stress import stress_of
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.catalogue import open_dataset
+from econgs_bench.datasets.scene import Dataset
+from econgs_bench.datasets.scratch import picked
+from econgs_bench.datasets.stress import (
     noisy,
     one_sided,
     scattered_cloud,
@@ -24,10 +24,10 @@ from datasets.stress import (
     turned,
     with_outliers,
 )
-from datasets.views import Split, ViewSet
-from datasets.volume import Volume
-from methods.interface import Refused, SceneInput
-from methods.shared.units import in_units
+from econgs_bench.datasets.views import Split, ViewSet
+from econgs_bench.datasets.volume import Volume
+from econgs_bench.methods.interface import Refused, SceneInput
+from econgs_bench.methods.shared.units import in_units
 
 
 def scene_inputs(context: Context) -> list[SceneInput]:
@@ -35,9 +35,9 @@ def scene_inputs(context: Context) -> list[SceneInput]:
 
     With ``--split val`` the validation views (every tenth training view) are left out of the fit and
     given to the method for its choices. With ``--split test`` the fit uses every training view and
-    the method gets no validation views. Views that together pass :data:`datasets.scratch.LIMIT` lie in a
+    the method gets no validation views. Views that together pass :data:`.datasets.scratch.LIMIT` lie in a
     file. The dataset is opened when a method reads the volume itself.
-    Stress on the training input (:mod:`bench.stress`) changes training views and cloud, nothing else.
+    Stress on the training input (:mod:`.bench.stress`) changes training views and cloud, nothing else.
 
     Raises:
         Refused: a method that reads the volume itself is to work in other scene units.

@@ -16,17 +16,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bench.store import write_text
-from datasets.bounded import json_of
-from datasets.camera import Camera
-from datasets.errors import DataError
-from datasets.seals import sealed, unsealed
-from datasets.view_files import images_bytes, read_views, write_views
-from datasets.views import Split, ViewSet
+from econgs_bench.bench.store import write_text
+from econgs_bench.datasets.bounded import json_of
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.seals import sealed, unsealed
+from econgs_bench.datasets.view_files import images_bytes, read_views, write_views
+from econgs_bench.datasets.views import Split, ViewSet
 
 if TYPE_CHECKING:
-    from datasets.cloud import CloudSource, PointCloud
-    from datasets.scene import BasicScene
+    from econgs_bench.datasets.cloud import CloudSource, PointCloud
+    from econgs_bench.datasets.scene import BasicScene
 
 INDEX = "views.json"
 _CLOUD = "cloud.npz"
@@ -57,7 +57,7 @@ def write_truth(
 
 def _store(file: Path, views: ViewSet) -> dict[str, Any]:
     """The index of a file that holds the pictures: the cache's own under a second name, or a new one."""
-    from datasets.view_cache import ViewCache
+    from econgs_bench.datasets.view_cache import ViewCache
 
     file.unlink(missing_ok=True)  # of an attempt that was killed
     return ViewCache().link(views.key, file) or write_views(file, views.images)
@@ -91,7 +91,7 @@ class Truth:
             split: one that the views job stored.
             which: positions; default: all.
             together: bytes of all pictures that are held with these: beyond
-                :data:`datasets.scratch.LIMIT` they lie in a file, and the system reads what is looked at.
+                :data:`.datasets.scratch.LIMIT` they lie in a file, and the system reads what is looked at.
         """
         stored = self._index["splits"][split]
         cameras = self.cameras(split)
@@ -108,8 +108,8 @@ class Truth:
         return scene
 
     def cloud(self, points: int, seed: int) -> PointCloud:
-        """An initial cloud of the basic scene (:meth:`datasets.cloud.CloudSource.draw`)."""
-        from datasets.cloud import CloudSource
+        """An initial cloud of the basic scene (:meth:`.datasets.cloud.CloudSource.draw`)."""
+        from econgs_bench.datasets.cloud import CloudSource
 
         source: CloudSource = self._read(_CLOUD, CloudSource.load)
         return source.draw(self.scene(), points, seed)
@@ -153,6 +153,6 @@ def _definitions() -> Any:
     """Converts scenes to JSON values and back."""
     from pydantic import TypeAdapter
 
-    from datasets.scene import BasicScene
+    from econgs_bench.datasets.scene import BasicScene
 
     return TypeAdapter(BasicScene)

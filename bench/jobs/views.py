@@ -5,17 +5,17 @@ from __future__ import annotations
 import logging
 import time
 
-from bench.inputs import edit_distance, finer, stressed, transfer_summary, views
-from bench.jobs.context import Context
-from bench.jobs.truth import write_truth
-from bench.metrics import mean_scores
-from bench.records import ViewsResult
-from bench.stress import part_of
-from datasets.catalogue import open_dataset
-from datasets.cloud import cloud_source
-from datasets.errors import DataError
-from datasets.png import write_png
-from datasets.views import Split, ViewSet
+from econgs_bench.bench.inputs import edit_distance, finer, stressed, transfer_summary, views
+from econgs_bench.bench.jobs.context import Context
+from econgs_bench.bench.jobs.truth import write_truth
+from econgs_bench.bench.metrics import mean_scores
+from econgs_bench.bench.records import ViewsResult
+from econgs_bench.bench.stress import part_of
+from econgs_bench.datasets.catalogue import open_dataset
+from econgs_bench.datasets.cloud import cloud_source
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.png import write_png
+from econgs_bench.datasets.views import Split, ViewSet
 
 FLOORS = ("psnr", "psnr_fg", "ssim", "flip", "delta_e_uv")
 """Metrics whose noise floor is measured: all but LPIPS, whose networks are loaded for models alone."""

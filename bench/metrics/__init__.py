@@ -2,7 +2,7 @@
 
 Metrics judge the picture as displayed: composited on the scene's background, clipped to [0, 1] and
 rounded to 8 bit. PNG files hold color and alpha in 8 bit each and are composited after that rounding, so
-PSNR from files is some hundredths of a decibel lower. Those of :data:`reports.schema.COVERAGE` judge alpha,
+PSNR from files is some hundredths of a decibel lower. Those of :data:`.reports.schema.COVERAGE` judge alpha,
 rounded likewise.
 """
 
@@ -13,13 +13,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from reports.schema import COLUMNS, Column
+from econgs_bench.reports.schema import COLUMNS, Column
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from datasets.scene import RGB
+    from econgs_bench.datasets.scene import RGB
 
 
 @dataclass(frozen=True)
@@ -94,8 +94,8 @@ def evaluate(
         UnknownName: a name is no metric.
         ValueError: shapes differ or values are not finite.
     """
-    from bench.metrics.image import Pair, scores
-    from datasets.names import unknown
+    from econgs_bench.bench.metrics.image import Pair, scores
+    from econgs_bench.datasets.names import unknown
 
     names = list(METRICS) if names is None else list(names)
     for name in names:
@@ -124,7 +124,7 @@ def mean_scores(
         background: on which both are composited.
         names: metrics to compute.
     """
-    from datasets.views import over
+    from econgs_bench.datasets.views import over
 
     rows = [
         evaluate(truth, over(image, background), image[..., 3], background, names).values

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera import Camera
+from econgs_bench.datasets.camera import Camera
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

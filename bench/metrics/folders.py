@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.metrics import METRICS
-from bench.metrics.image import Pair, scores, to_8bit
-from datasets.errors import DataError
-from datasets.png import open_picture, read_png
-from datasets.views import over
+from econgs_bench.bench.metrics import METRICS
+from econgs_bench.bench.metrics.image import Pair, scores, to_8bit
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.png import open_picture, read_png
+from econgs_bench.datasets.views import over
 
 if TYPE_CHECKING:
     import pandas as pd

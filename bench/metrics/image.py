@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.views import over
+from econgs_bench.datasets.views import over
 
 IDENTICAL_DB = 100.0
 """PSNR of identical images, and its cap: one 8-bit step in one pixel of a large image would exceed it."""
@@ -38,7 +38,7 @@ class Pair:
         alpha: NDArray[np.float32],
         background: Sequence[float],
     ) -> Pair:
-        """From background-free truth and composited render; see :func:`bench.metrics.evaluate`."""
+        """From background-free truth and composited render; see :func:`.bench.metrics.evaluate`."""
         height_width = truth.shape[:2]
         if truth.ndim != 3 or truth.shape[2] != 4:
             raise ValueError(f"truth must be (height, width, 4), not {truth.shape}")
@@ -73,7 +73,7 @@ def to_8bit(image: NDArray[np.floating]) -> NDArray[np.uint8]:
 
 
 def scores(pair: Pair, names: Iterable[str]) -> tuple[dict[str, float | None], dict[str, str]]:
-    """Metrics of :data:`bench.metrics.METRICS` by their names: value or None, and why it is None."""
+    """Metrics of :data:`.bench.metrics.METRICS` by their names: value or None, and why it is None."""
     results = {name: _FUNCTIONS[name](pair) for name in names}
     values = {name: None if isinstance(result, str) else result for name, result in results.items()}
     return values, {name: result for name, result in results.items() if isinstance(result, str)}
@@ -140,7 +140,7 @@ def flip(pair: Pair) -> float:
 
 def delta_e_uv(pair: Pair) -> float:
     """Mean CIELUV color difference."""
-    from reports.pictures.cieluv import delta_e_uv as difference
+    from econgs_bench.reports.pictures.cieluv import delta_e_uv as difference
 
     return float(difference(*pair.floats()).mean())
 
@@ -167,7 +167,7 @@ def _uncovered(pair: Pair, of: int, by: int) -> float | str:
 
 def _lpips(network: str, *, unscaled: bool = False) -> Callable[[Pair], float | str]:
     def metric(pair: Pair) -> float | str:
-        from bench.metrics.lpips import distance
+        from econgs_bench.bench.metrics.lpips import distance
 
         return distance(network, *pair.floats(), unscaled=unscaled)
 

@@ -6,7 +6,7 @@ Each entry is a TOML file in this package. A search for the real files goes thro
 
 from __future__ import annotations
 
-from datasets.catalogue.entries import DatasetInfo, data_folders, list_datasets
-from datasets.catalogue.opening import open_dataset
+from econgs_bench.datasets.catalogue.entries import DatasetInfo, data_folders, list_datasets
+from econgs_bench.datasets.catalogue.opening import open_dataset
 
 __all__ = ["DatasetInfo", "data_folders", "list_datasets", "open_dataset"]

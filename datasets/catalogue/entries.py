@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from datasets.errors import DataError
+from econgs_bench.datasets.errors import DataError
 
 ENVIRONMENT = "BENCH_DATA"
 OWN_ENVIRONMENT = "BENCH_CATALOGUE"
@@ -102,7 +102,7 @@ def entry(name: str) -> dict[str, Any]:
     """
     if name in built_in():
         return _built_in(name)
-    from datasets.catalogue.own import read_entry
+    from econgs_bench.datasets.catalogue.own import read_entry
 
     return read_entry(own_files()[name])
 

@@ -10,17 +10,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.auto_transfer import COLORS, automatic_scenes
-from datasets.catalogue.entries import own_name
-from datasets.errors import DataError
-from datasets.framing import frame_of, places, visible_frame, visible_voxels
-from datasets.readers import list_variables, read_volume, suffix_of
-from datasets.readers.fields import choose, plain
-from datasets.readers.limits import Limits
-from datasets.readers.naming import FileName
-from datasets.scene import BasicScene, Dataset
-from datasets.visibility import Samples
-from datasets.volume import Volume
+from econgs_bench.datasets.auto_transfer import COLORS, automatic_scenes
+from econgs_bench.datasets.catalogue.entries import own_name
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.framing import frame_of, places, visible_frame, visible_voxels
+from econgs_bench.datasets.readers import list_variables, read_volume, suffix_of
+from econgs_bench.datasets.readers.fields import choose, plain
+from econgs_bench.datasets.readers.limits import Limits
+from econgs_bench.datasets.readers.naming import FileName
+from econgs_bench.datasets.scene import BasicScene, Dataset
+from econgs_bench.datasets.visibility import Samples
+from econgs_bench.datasets.volume import Volume
 
 MOST_SCENES = 12
 """Limit for a file of several variables: three scenes each, fewer with more than four variables."""

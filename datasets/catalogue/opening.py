@@ -9,16 +9,16 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from datasets.catalogue import entries
-from datasets.catalogue.entries import is_joined
-from datasets.errors import DataError
-from datasets.names import unknown
+from econgs_bench.datasets.catalogue import entries
+from econgs_bench.datasets.catalogue.entries import is_joined
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.names import unknown
 
 if TYPE_CHECKING:
-    from datasets.readers.limits import Limits
-    from datasets.scene import BasicScene, Dataset, Frame
-    from datasets.transfer import Bump, TransferFunction
-    from datasets.volume import Volume
+    from econgs_bench.datasets.readers.limits import Limits
+    from econgs_bench.datasets.scene import BasicScene, Dataset, Frame
+    from econgs_bench.datasets.transfer import Bump, TransferFunction
+    from econgs_bench.datasets.volume import Volume
 
 
 def open_dataset(
@@ -32,7 +32,7 @@ def open_dataset(
         name_or_path: "vis_male"; "vortices" or "vortices@128"; a TOML file with scenes of your own; a volume
             file, which gets automatic transfer functions ("PATH:variable=T,step=3,resolution=256" selects a
             part of it); a folder of slices or DICOM files, or a Zarr store; or a folder of pre-rendered views
-            (:mod:`datasets.posed_images`), in itself or in one subfolder per scene.
+            (:mod:`.datasets.posed_images`), in itself or in one subfolder per scene.
             "beetle+argon_bubble" joins sets of the catalogue, so that one model can learn scenes of both.
         data_dirs: folders to search instead of ``BENCH_DATA`` and the user's data folder.
         resolution: samples per axis of a procedural volume (default 64).
@@ -54,7 +54,7 @@ def open_dataset(
         return _from_catalogue(base, table, entries.folders_of(base, data_dirs), base)
     path = Path(text).expanduser()
     if path.suffix == ".toml":
-        from datasets.catalogue.own import read_entry
+        from econgs_bench.datasets.catalogue.own import read_entry
 
         folders = [path.resolve().parent, *entries.data_folders(data_dirs)]
         return _from_catalogue(entries.own_name(path.stem), read_entry(path), folders, text)
@@ -62,9 +62,9 @@ def open_dataset(
         is_folder, exists = path.is_dir(), path.exists()
     except (OSError, ValueError):
         is_folder = exists = False
-    from datasets.catalogue.files import file_dataset
-    from datasets.readers import folder_kind, suffix_of
-    from datasets.readers.naming import split
+    from econgs_bench.datasets.catalogue.files import file_dataset
+    from econgs_bench.datasets.readers import folder_kind, suffix_of
+    from econgs_bench.datasets.readers.naming import split
 
     if is_folder and not folder_kind(path):
         return _views_folder(path)
@@ -75,7 +75,7 @@ def open_dataset(
 
 def _joined(name: str, members: Sequence[Dataset]) -> Dataset:
     """The scenes of several datasets as "DATASET.SCENE"; each keeps its own box and views."""
-    from datasets.scene import Dataset
+    from econgs_bench.datasets.scene import Dataset
 
     for member in members:
         if member.kind != "volume" or member.framing is not None:
@@ -112,8 +112,8 @@ def _resolution(text: str, at: str) -> int:
 
 
 def _procedural(name: str, table: dict[str, Any], resolution: int | None) -> Dataset:
-    from datasets import procedural
-    from datasets.scene import Dataset
+    from econgs_bench.datasets import procedural
+    from econgs_bench.datasets.scene import Dataset
 
     field = table.get("field", name)  # several entries may show one field
     n = procedural.check_resolution(field, resolution)
@@ -134,8 +134,8 @@ def _one(volumes: Callable[[], dict[str, Volume]], variable: str) -> Volume:
 
 
 def _from_catalogue(name: str, table: dict[str, Any], folders: Sequence[Path], request: str) -> Dataset:
-    from datasets.ground_truth.sampling import samples_of
-    from datasets.scene import BasicScene, Dataset
+    from econgs_bench.datasets.ground_truth.sampling import samples_of
+    from econgs_bench.datasets.scene import BasicScene, Dataset
 
     paths: dict[str, Path] = {}
     for path in entries.paths_of(table):
@@ -168,7 +168,7 @@ def _from_catalogue(name: str, table: dict[str, Any], folders: Sequence[Path], r
 
 def _mapped(dataset: Dataset, folders: Sequence[Path], scene: dict[str, Any]) -> TransferFunction:
     """The transfer function of a scene that names a map of ParaView; its own values need the volume's."""
-    from datasets.transfer_maps import read_map, transfer_of
+    from econgs_bench.datasets.transfer_maps import read_map, transfer_of
 
     path = entries.locate(scene["transfer"], folders)
     if path is None:
@@ -185,15 +185,15 @@ def _mapped(dataset: Dataset, folders: Sequence[Path], scene: dict[str, Any]) ->
 
 def _framing(table: dict[str, Any] | None, dataset: Dataset) -> Frame:
     """The frame of an entry, else that of what its scenes show."""
-    from datasets.framing import visible_frame
-    from datasets.scene import Frame
+    from econgs_bench.datasets.framing import visible_frame
+    from econgs_bench.datasets.scene import Frame
 
     return Frame(tuple(table["centre"]), table["radius"]) if table else visible_frame(dataset)
 
 
 def _limits(file: dict[str, Any], shown: Any) -> Limits:
     """Which values of a file an entry shows; ``shown`` where it does not say a range."""
-    from datasets.readers.limits import Limits
+    from econgs_bench.datasets.readers.limits import Limits
 
     ends, missing = file.get("range", shown), file.get("missing", [])
     given = (ends[0], ends[1]) if isinstance(ends, list | tuple) else ends
@@ -251,7 +251,7 @@ def _reader(path: Path, file: dict[str, Any], spacing: Any, shown: Any = "all") 
     choice = {key: file.get(key) for key in ("array", "step", "resolution")}
 
     def read() -> Volume:
-        from datasets.readers import read_volume
+        from econgs_bench.datasets.readers import read_volume
 
         return read_volume(path, file["variable"], spacing=spacing, limits=_limits(file, shown), **choice)
 
@@ -261,8 +261,8 @@ def _reader(path: Path, file: dict[str, Any], spacing: Any, shown: Any = "all") 
 def _scenes(
     table: dict[str, Any], mapped: Callable[[dict[str, Any]], TransferFunction] | None = None
 ) -> tuple[BasicScene, ...]:
-    from datasets.scene import WHITE, BasicScene, Isosurface, Light
-    from datasets.transfer import TransferFunction
+    from econgs_bench.datasets.scene import WHITE, BasicScene, Isosurface, Light
+    from econgs_bench.datasets.transfer import TransferFunction
 
     scenes = []
     for scene in table["scenes"]:
@@ -294,16 +294,16 @@ def _scenes(
 
 
 def _bump(table: dict[str, Any]) -> Bump:
-    from datasets.transfer import Bump
+    from econgs_bench.datasets.transfer import Bump
 
     start, rise, fall, end = table["range"]
     return Bump(table["name"], start, rise, fall, end, tuple(table["color"]), table["opacity"])
 
 
 def _views_folder(path: Path) -> Dataset:
-    from datasets.catalogue.files import safe_name
-    from datasets.posed_images import NEEDED, holds_views
-    from datasets.scene import BasicScene, Dataset
+    from econgs_bench.datasets.catalogue.files import safe_name
+    from econgs_bench.datasets.posed_images import NEEDED, holds_views
+    from econgs_bench.datasets.scene import BasicScene, Dataset
 
     if holds_views(path):
         folders = [path]

@@ -8,11 +8,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from datasets.colors import REMEDY as COLORS
-from datasets.colors import hex_color
-from datasets.errors import DataError
-from datasets.ground_truth.sampling import samples_of
-from datasets.toml import read_toml
+from econgs_bench.datasets.colors import REMEDY as COLORS
+from econgs_bench.datasets.colors import hex_color
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.ground_truth.sampling import samples_of
+from econgs_bench.datasets.toml import read_toml
 
 REMEDY = "Mend it: `bench scenes VOLUME` writes such a file, with a comment for each key"
 
@@ -49,7 +49,7 @@ class _Part(BaseModel):
 
 
 class Bump(_Part):
-    """A trapezoid of opacity (:class:`datasets.transfer.Bump`)."""
+    """A trapezoid of opacity (:class:`.datasets.transfer.Bump`)."""
 
     name: Name
     range: tuple[Share, Share, Share, Share]
@@ -64,7 +64,7 @@ class Bump(_Part):
 
 
 class Surface(_Part):
-    """An isosurface (:class:`datasets.scene.Isosurface`)."""
+    """An isosurface (:class:`.datasets.scene.Isosurface`)."""
 
     name: Name
     value: Annotated[float, Field(gt=0.0, lt=1.0)]
@@ -73,7 +73,7 @@ class Surface(_Part):
 
 
 class Light(_Part):
-    """Light and material (:class:`datasets.scene.Light`)."""
+    """Light and material (:class:`.datasets.scene.Light`)."""
 
     direction: tuple[float, float, float] | None = None
     ambient: Annotated[float, Field(ge=0.0)] = 0.4
@@ -142,7 +142,7 @@ class File(_Part):
 
 
 class Frame(_Part):
-    """What views show (:class:`datasets.scene.Frame`)."""
+    """What views show (:class:`.datasets.scene.Frame`)."""
 
     centre: tuple[Coordinate, Coordinate, Coordinate]
     radius: Annotated[float, Field(ge=0.05, le=2.0)]
@@ -187,7 +187,7 @@ def read_entry(path: Path) -> dict[str, Any]:
     """A checked entry as a table; what is optional and not given is left out.
 
     Raises:
-        DataError: as :func:`datasets.toml.read_toml`.
+        DataError: as :func:`.datasets.toml.read_toml`.
     """
     entry = read_toml(path, Entry, REMEDY, KEYS)
     whole = {"title": f"scenes of {path.name}", "acknowledgement": ""} | entry.model_dump(exclude_unset=True)

@@ -8,10 +8,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from datasets.catalogue.files import FileField
-from datasets.errors import DataError
-from datasets.scene import BasicScene, Dataset
-from datasets.volume import Volume
+from econgs_bench.datasets.catalogue.files import FileField
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.scene import BasicScene, Dataset
+from econgs_bench.datasets.volume import Volume
 
 _COLUMN = 46  # of the comments
 
@@ -20,13 +20,13 @@ def write_entry(dataset: Dataset, path: Path) -> None:
     """Write the automatic scenes of a volume file as an entry for people to edit.
 
     Args:
-        dataset: dataset of a volume file (:func:`datasets.catalogue.files.file_dataset`).
+        dataset: dataset of a volume file (:func:`.datasets.catalogue.files.file_dataset`).
         path: TOML file; it must not exist.
 
     Raises:
         DataError: the file exists, or the entry cannot be written as text.
     """
-    from datasets.catalogue.own import read_entry
+    from econgs_bench.datasets.catalogue.own import read_entry
 
     aside = path.with_name(f".{path.stem}.{os.getpid()}.toml")
     try:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_cdt
 
-from datasets.scratch import new_array
+from econgs_bench.datasets.scratch import new_array
 
 BRICK = 2
 """Voxels along a brick's side."""
@@ -24,7 +24,7 @@ class Bricks:
     Args:
         shape: nz, ny, nx of the field.
         mask: bool of that shape, True for valid values; None: all are valid.
-        together: bytes of all that is held with them (:func:`datasets.scratch.new_array`).
+        together: bytes of all that is held with them (:func:`.datasets.scratch.new_array`).
 
     Attributes:
         low, high: float32 least and greatest normalised value of each brick (z, y, x).

@@ -14,8 +14,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import DataError
-from datasets.scratch import new_array
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.scratch import new_array
 
 MOST_VALUES = 2**31 - 1
 """Values of a grid that Dr.Jit's 32-bit indices reach in pairs."""

@@ -1,4 +1,4 @@
-"""The loops along the rays, traced by Dr.Jit: :mod:`datasets.ground_truth.model` in float32.
+"""The loops along the rays, traced by Dr.Jit: :mod:`.datasets.ground_truth.model` in float32.
 
 All differences between scenes and cameras enter as data (or as opaque scalars), so that each number and kind
 of layers needs one compilation. Branches on the parts of a scene (a light, a mask) happen while tracing and
@@ -15,11 +15,11 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.ground_truth.bricks import BRICK
-from datasets.ground_truth.field import Field, aligned
-from datasets.ground_truth.model import BISECTIONS, Layer
-from datasets.ground_truth.occlusion import Occlusion
-from datasets.scene import Light
+from econgs_bench.datasets.ground_truth.bricks import BRICK
+from econgs_bench.datasets.ground_truth.field import Field, aligned
+from econgs_bench.datasets.ground_truth.model import BISECTIONS, Layer
+from econgs_bench.datasets.ground_truth.occlusion import Occlusion
+from econgs_bench.datasets.scene import Light
 
 _MARGIN = 2e-3  # voxels that leaps end early: more than the rounding of positions
 _UNSEEN = 1e-6  # transmittance at which a ray may stop: below what 16-bit images resolve

@@ -2,7 +2,7 @@
 
 The kernel is traced anew for each launch but compiled once, and Dr.Jit keeps compiled kernels on disk. Its
 speed comes from leaps over empty bricks, and from gradients only at visible samples.
-Set the variant (:func:`datasets.ground_truth.probe.activate`) before importing this module.
+Set the variant (:func:`.datasets.ground_truth.probe.activate`) before importing this module.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera import Camera
-from datasets.ground_truth.bricks import Bricks, leaps
-from datasets.ground_truth.field import Field, aligned
-from datasets.ground_truth.kernel import SceneData, march
-from datasets.ground_truth.model import Layer, Marcher, MarchSettings, index_transform
-from datasets.ground_truth.occlusion import bake
-from datasets.ground_truth.sampling import Places, Tracer
-from datasets.volume import Volume
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.ground_truth.bricks import Bricks, leaps
+from econgs_bench.datasets.ground_truth.field import Field, aligned
+from econgs_bench.datasets.ground_truth.kernel import SceneData, march
+from econgs_bench.datasets.ground_truth.model import Layer, Marcher, MarchSettings, index_transform
+from econgs_bench.datasets.ground_truth.occlusion import bake
+from econgs_bench.datasets.ground_truth.sampling import Places, Tracer
+from econgs_bench.datasets.volume import Volume
 
 _TILE = 16
 """Pixels along the side of a tile: neighbouring rays share their fetches."""
@@ -32,7 +32,7 @@ _CAMERA_WIDTH = 16  # position, rotation, focal lengths, principal point
 
 
 class MitsubaMarcher(Marcher):
-    """Evaluation of :mod:`datasets.ground_truth.model` in float32, ray set-up in float64.
+    """Evaluation of :mod:`.datasets.ground_truth.model` in float32, ray set-up in float64.
 
     Args:
         volume: the field, or the fields of a composition. The marcher keeps their normalised values and
@@ -64,7 +64,7 @@ class MitsubaMarcher(Marcher):
         self._half = 0.5 * first.extent
 
     def tracer(self, layers: Sequence[Layer]) -> Tracer:
-        """See :class:`datasets.ground_truth.model.Marcher`."""
+        """See :class:`.datasets.ground_truth.model.Marcher`."""
         return _Rays(self._scene(layers), self._half, self._scale, self._offset, self._dt)
 
     def _scene(self, layers: Sequence[Layer]) -> SceneData:
@@ -88,12 +88,12 @@ class MitsubaMarcher(Marcher):
 
 
 class _Rays:
-    """Rays of a scene; see :class:`datasets.ground_truth.sampling.Tracer`.
+    """Rays of a scene; see :class:`.datasets.ground_truth.sampling.Tracer`.
 
     Args:
         data: the scene.
         half: (3,) half of the box's sides.
-        scale, offset: of :func:`datasets.ground_truth.model.index_transform`.
+        scale, offset: of :func:`.datasets.ground_truth.model.index_transform`.
         dt: ray step in scene space.
     """
 

@@ -1,11 +1,11 @@
 """The optical model of every ground-truth renderer.
 
-A pixel is the mean over its rays (:mod:`datasets.ground_truth.sampling`). Along each of them, emission and
+A pixel is the mean over its rays (:mod:`.datasets.ground_truth.sampling`). Along each of them, emission and
 absorption, front to back, through the box of the volume:
 
 * Samples lie in the middle of segments of length dt = ``step_voxels`` x smallest voxel side. The first
   segment begins where the ray enters the box, the last one ends where the ray leaves it.
-* Normalised values (:meth:`datasets.volume.Volume.normalised`) are interpolated trilinearly between the
+* Normalised values (:meth:`.datasets.volume.Volume.normalised`) are interpolated trilinearly between the
   samples of the grid; the box ends at the outermost samples (point data).
 * Post-classification: color c and extinction s come from the transfer function's table by linear
   interpolation. Opacity of a segment: alpha = 1 - exp(-s dt).
@@ -48,7 +48,7 @@ Isosurfaces (``BasicScene.isosurfaces``) are the level sets of the trilinear fie
 
 Depth enhancement (``BasicScene.depth_enhancement``, strength d; our stand-in for that of commercial
 renderers) multiplies a layer's shaded, clamped color by 1 - d O(x), with the occlusion O in [0, 1] baked once
-per scene from the extinction E of all layers together (:mod:`datasets.ground_truth.occlusion`):
+per scene from the extinction E of all layers together (:mod:`.datasets.ground_truth.occlusion`):
 
 * E at each voxel is the nearest entry of the table (times the mask), averaged over cubes of k^3 voxels,
   with the least k that leaves at most 128 an axis. An isosurface of opacity a counts as
@@ -67,13 +67,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera import Camera
-from datasets.errors import DataError
-from datasets.ground_truth.sampling import RAYS_AT_ONCE, Tracer, pictures
-from datasets.scene import BasicScene, Isosurface, Light
-from datasets.scratch import new_array
-from datasets.transfer import TransferFunction
-from datasets.volume import Volume
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.ground_truth.sampling import RAYS_AT_ONCE, Tracer, pictures
+from econgs_bench.datasets.scene import BasicScene, Isosurface, Light
+from econgs_bench.datasets.scratch import new_array
+from econgs_bench.datasets.transfer import TransferFunction
+from econgs_bench.datasets.volume import Volume
 
 MODEL_VERSION = 1
 """Version of the model: raised with every change of a picture; part of the key of cached views."""
@@ -209,8 +209,8 @@ class Marcher:
 
         Args:
             layers: layers on the marcher's own volumes; several make a composition.
-            samples: rays a pixel (:mod:`datasets.ground_truth.sampling`): 1 goes through its centre, 0 are as
-                many as it needs.
+            samples: rays a pixel (:mod:`.datasets.ground_truth.sampling`): 1 goes through its centre, 0 are
+                as many as it needs.
         """
         tracer = self.tracer(layers)
 

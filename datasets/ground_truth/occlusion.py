@@ -1,4 +1,4 @@
-"""Baked occlusion for depth enhancement; formula in :mod:`datasets.ground_truth.model`."""
+"""Baked occlusion for depth enhancement; formula in :mod:`.datasets.ground_truth.model`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
-from datasets.ground_truth.model import Layer
+from econgs_bench.datasets.ground_truth.model import Layer
 
 RADII = (1 / 64, 1 / 32, 1 / 16, 1 / 8)
 """Half-sides of the neighbourhoods in scene space."""

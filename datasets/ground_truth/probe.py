@@ -26,8 +26,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
-from datasets.errors import DataError
-from datasets.scratch import cache_root
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.scratch import cache_root
 
 REMEDY = (
     "Install LLVM 17 or newer (Debian, Ubuntu: apt-get install libllvm19; macOS: brew install llvm), or set "

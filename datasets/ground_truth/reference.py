@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from datasets.camera import Camera
-from datasets.ground_truth.model import (
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.ground_truth.model import (
     BISECTIONS,
     Layer,
     Marcher,
     MarchSettings,
     index_transform,
 )
-from datasets.ground_truth.occlusion import bake
-from datasets.ground_truth.sampling import Places, Tracer
-from datasets.scene import Light
-from datasets.volume import Volume
+from econgs_bench.datasets.ground_truth.occlusion import bake
+from econgs_bench.datasets.ground_truth.sampling import Places, Tracer
+from econgs_bench.datasets.scene import Light
+from econgs_bench.datasets.volume import Volume
 
 _SAMPLES_AT_ONCE = {"cpu": 2**20, "cuda": 2**24}
 
@@ -58,7 +58,7 @@ class _Hits:
 
 
 class ReferenceMarcher(Marcher):
-    """The plainest evaluation of :mod:`datasets.ground_truth.model`.
+    """The plainest evaluation of :mod:`.datasets.ground_truth.model`.
 
     Args:
         volume: the field, or the fields of a composition.
@@ -90,7 +90,7 @@ class ReferenceMarcher(Marcher):
         self._lower, self._upper = (self._tensor(corner) for corner in first.box)
 
     def tracer(self, layers: Sequence[Layer]) -> Tracer:
-        """See :class:`datasets.ground_truth.model.Marcher`."""
+        """See :class:`.datasets.ground_truth.model.Marcher`."""
         return _Rays(self, self._scene(layers))
 
     def compose_exact(self, camera: Camera, layers: Sequence[Layer]) -> Tensor:
@@ -248,7 +248,7 @@ class ReferenceMarcher(Marcher):
 
 
 class _Rays:
-    """Rays of a scene; see :class:`datasets.ground_truth.sampling.Tracer`."""
+    """Rays of a scene; see :class:`.datasets.ground_truth.sampling.Tracer`."""
 
     def __init__(self, marcher: ReferenceMarcher, scene: _Scene) -> None:
         self._marcher, self._scene = marcher, scene

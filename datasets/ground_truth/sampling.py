@@ -31,8 +31,8 @@ from typing import NamedTuple, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera import Camera
-from datasets.errors import DataError
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.errors import DataError
 
 SAMPLING_VERSION = 2
 """Raised with every change of a picture of more than one ray a pixel; part of the key of cached views."""

@@ -9,11 +9,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import DataError
-from datasets.names import unknown
-from datasets.procedural import extremes, flame, front, single, spectral_sets, wake
-from datasets.procedural.space import Array, Slice
-from datasets.volume import Volume
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.names import unknown
+from econgs_bench.datasets.procedural import extremes, flame, front, single, spectral_sets, wake
+from econgs_bench.datasets.procedural.space import Array, Slice
+from econgs_bench.datasets.volume import Volume
 
 DEFAULT_RESOLUTION = 64
 _LEVELS = 65535

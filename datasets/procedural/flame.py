@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from datasets.procedural.space import Array, Slice, Waves, gradient, vector
+from econgs_bench.datasets.procedural.space import Array, Slice, Waves, gradient, vector
 
 SIDES = (2 / 3, 1.0, 1 / 6)
 VARIABLES = ("MF", "CHI", "HR", "VORT", "OH")

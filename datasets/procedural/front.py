@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from datasets.procedural.space import Array, Slice, Waves, smoothstep
+from econgs_bench.datasets.procedural.space import Array, Slice, Waves, smoothstep
 
 SIDES = (1.0, 992 / 2400, 992 / 2400)
 VARIABLES = ("T", "H", "H+", "He", "He+", "H2", "PD")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from datasets.procedural.space import Array, Slice, Waves, smoothstep
+from econgs_bench.datasets.procedural.space import Array, Slice, Waves, smoothstep
 
 
 class Supernova:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from datasets.procedural.space import Array, Slice, gradient, smoothstep, vector
+from econgs_bench.datasets.procedural.space import Array, Slice, gradient, smoothstep, vector
 
 SIDES = (1.0, 0.6, 0.4)
 VARIABLES = ("ACC", "DIV", "VLM", "VTM")

@@ -1,9 +1,9 @@
 """Volume files: one reader per format, chosen by the first bytes, the suffix, or what a folder holds.
 
-``.raw`` and ``.raw.gz`` (:mod:`~datasets.readers.raw`), ``.npy``, NRRD and NIfTI hold one field. All others
+``.raw`` and ``.raw.gz`` (:mod:`~.datasets.readers.raw`), ``.npy``, NRRD and NIfTI hold one field. All others
 hold variables by name, some with time steps. What VTK, SimpleITK, tifffile, h5py and zarr read, they read in
-a process of their own (:mod:`~datasets.readers.sandbox`). Every fault of a file becomes one
-:class:`~datasets.errors.DataError` that names file, reason and remedy.
+a process of their own (:mod:`~.datasets.readers.sandbox`). Every fault of a file becomes one
+:class:`~.datasets.errors.DataError` that names file, reason and remedy.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from datasets.errors import DataError
-from datasets.readers import content
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers import content
 
 if TYPE_CHECKING:
-    from datasets.readers.container import Container
-    from datasets.readers.fields import Source, Variable
-    from datasets.readers.limits import Limits
-    from datasets.readers.single import Single
-    from datasets.volume import Volume
+    from econgs_bench.datasets.readers.container import Container
+    from econgs_bench.datasets.readers.fields import Source, Variable
+    from econgs_bench.datasets.readers.limits import Limits
+    from econgs_bench.datasets.readers.single import Single
+    from econgs_bench.datasets.volume import Volume
 
 _SINGLE = {
     ".raw": "raw",
@@ -80,7 +80,7 @@ def folder_kind(path: Path) -> str:
     Raises:
         OSError: the folder cannot be read.
     """
-    from datasets.posed_images import holds_views
+    from econgs_bench.datasets.posed_images import holds_views
 
     files = sorted(path.iterdir())
     names = {file.name for file in files}
@@ -107,7 +107,7 @@ def list_variables(path: Path | str) -> tuple[Variable, ...]:
     Raises:
         DataError: the file is unusable.
     """
-    from datasets.readers.single import Single
+    from econgs_bench.datasets.readers.single import Single
 
     path = Path(path)
     try:
@@ -138,7 +138,7 @@ def read_volume(
         resolution: samples along the longest side, for meshes only (default 128).
         spacing: sample distances along x, y, z; default: those of the file, else 1, with a line in the log.
         limits: the value range and the missing values; default: those of the file, else a range without
-            outliers (:mod:`datasets.readers.limits`).
+            outliers (:mod:`.datasets.readers.limits`).
 
     Returns:
         The volume; ``value_range`` is the minimum and maximum of its valid values (of a mesh, that at its
@@ -152,11 +152,11 @@ def read_volume(
     """
     path = Path(path)
 
-    from datasets.readers.fields import choose, plain
-    from datasets.readers.finish import UNIT, check_spacing
-    from datasets.readers.notices import notice
-    from datasets.readers.single import Single
-    from datasets.volume import Volume
+    from econgs_bench.datasets.readers.fields import choose, plain
+    from econgs_bench.datasets.readers.finish import UNIT, check_spacing
+    from econgs_bench.datasets.readers.notices import notice
+    from econgs_bench.datasets.readers.single import Single
+    from econgs_bench.datasets.volume import Volume
 
     try:
         source = _source(path, _kind(path))
@@ -212,26 +212,26 @@ def _source(path: Path, kind: str) -> Source:
     if kind in _SINGLE.values():
         return _single(path, kind)
     if kind == "vtk_legacy":
-        from datasets.readers.vtk_legacy import LeftToVtk, LegacyFile
+        from econgs_bench.datasets.readers.vtk_legacy import LeftToVtk, LegacyFile
 
         with suppress(LeftToVtk):
             return LegacyFile(path)
         kind = "vtk_data"
-    from datasets.readers.sandbox import Foreign, Stored
+    from econgs_bench.datasets.readers.sandbox import Foreign, Stored
 
     if kind in ("vtk_data", "itk", "slices"):
         return Foreign(path, kind)
-    from datasets.readers.arrays import Arrays
+    from econgs_bench.datasets.readers.arrays import Arrays
 
     if kind == "npz":
-        from datasets.readers.npz import Npz
+        from econgs_bench.datasets.readers.npz import Npz
 
         return Arrays(path, Npz(path), missing=False)
     if kind == "zarr":
         return Arrays(path, Stored(path, "zarr_store"), missing=True)
     container = _netcdf(path)
     if kind == "exodus" or {"connect1", "eb_prop1"} <= set(container.arrays):
-        from datasets.readers.exodus import Exodus
+        from econgs_bench.datasets.readers.exodus import Exodus
 
         return Exodus(path, container)
     if any(name.startswith("VTKHDF/") for name in container.arrays):
@@ -240,10 +240,10 @@ def _source(path: Path, kind: str) -> Source:
 
 
 def _single(path: Path, kind: str) -> Single:
-    from datasets.readers.nifti import open_nifti
-    from datasets.readers.npy import open_npy
-    from datasets.readers.nrrd import open_nrrd
-    from datasets.readers.raw import open_raw
+    from econgs_bench.datasets.readers.nifti import open_nifti
+    from econgs_bench.datasets.readers.npy import open_npy
+    from econgs_bench.datasets.readers.nrrd import open_nrrd
+    from econgs_bench.datasets.readers.raw import open_raw
 
     return {"raw": open_raw, "npy": open_npy, "nrrd": open_nrrd, "nifti": open_nifti}[kind](path)
 
@@ -253,10 +253,10 @@ def _netcdf(path: Path) -> Container:
     with path.open("rb") as file:
         classic = file.read(3) == b"CDF"
     if classic:
-        from datasets.readers.netcdf3 import NetCdf3
+        from econgs_bench.datasets.readers.netcdf3 import NetCdf3
 
         return NetCdf3(path)
-    from datasets.readers.sandbox import Stored
+    from econgs_bench.datasets.readers.sandbox import Stored
 
     return Stored(path, "hdf5")
 

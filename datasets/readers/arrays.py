@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import DataError
-from datasets.readers.axes import place
-from datasets.readers.container import Array, Container
-from datasets.readers.fields import Choice, Field, Variable, channels_of, scalar
-from datasets.readers.lengths import in_one_unit
-from datasets.readers.notices import notice
-from datasets.scratch import converted, new_array
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers.axes import place
+from econgs_bench.datasets.readers.container import Array, Container
+from econgs_bench.datasets.readers.fields import Choice, Field, Variable, channels_of, scalar
+from econgs_bench.datasets.readers.lengths import in_one_unit
+from econgs_bench.datasets.readers.notices import notice
+from econgs_bench.datasets.scratch import converted, new_array
 
 _TIME = ("time", "t", "times", "step", "time_step")
 _CHANNEL = ("c", "channel", "channels")

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import DataError
-from datasets.readers import limits as shown
-from datasets.readers.fields import Field
-from datasets.readers.finish import checked_grid
-from datasets.readers.limits import Limits
-from datasets.readers.notices import notice
-from datasets.scratch import converted, new_array
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers import limits as shown
+from econgs_bench.datasets.readers.fields import Field
+from econgs_bench.datasets.readers.finish import checked_grid
+from econgs_bench.datasets.readers.limits import Limits
+from econgs_bench.datasets.readers.notices import notice
+from econgs_bench.datasets.scratch import converted, new_array
 
 CAP = 512
 """Maximum number of samples of a resampled axis (its own number if that is larger)."""
@@ -45,8 +45,9 @@ def place(
         mask: (nz, ny, nx), False for missing values: they become continuations of their neighbours.
 
     Raises:
-        DataError: as :func:`datasets.readers.finish.checked_grid` and :func:`datasets.readers.limits.shown`,
-            or positions are not finite, or neither ascending nor descending.
+        DataError: as :func:`.datasets.readers.finish.checked_grid` and
+            :func:`.datasets.readers.limits.shown`, or positions are not finite, or neither
+            ascending nor descending.
     """
     given = values
     values = checked_grid(values, path)

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.readers.finish import Spacing
+from econgs_bench.datasets.readers.finish import Spacing
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import DataError
-from datasets.readers.container import Container
-from datasets.readers.fields import Choice, Field, Variable
-from datasets.readers.mesh import Mesh, resampled
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers.container import Container
+from econgs_bench.datasets.readers.fields import Choice, Field, Variable
+from econgs_bench.datasets.readers.mesh import Mesh, resampled
 
 _REMEDY = "Copy it again, or write it again as an Exodus II file"
 _ELEMENTS = {

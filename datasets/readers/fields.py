@@ -10,10 +10,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import DataError
-from datasets.names import unknown
-from datasets.readers.finish import Spacing
-from datasets.readers.limits import Limits
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.names import unknown
+from econgs_bench.datasets.readers.finish import Spacing
+from econgs_bench.datasets.readers.limits import Limits
 
 _CHUNK = 1 << 24
 _AXES = ("x", "y", "z")
@@ -70,7 +70,7 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """The values of one choice; attributes as in :class:`datasets.volume.Volume`.
+    """The values of one choice; attributes as in :class:`.datasets.volume.Volume`.
 
     ``spacing`` is None where the file does not say it.
     """

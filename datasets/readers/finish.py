@@ -11,8 +11,8 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import DataError
-from datasets.scratch import converted, new_array
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.scratch import converted, new_array
 
 Spacing = tuple[float, float, float]
 UNIT: Spacing = (1.0, 1.0, 1.0)

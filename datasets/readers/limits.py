@@ -17,10 +17,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import DataError
-from datasets.readers.finish import check_range, value_range
-from datasets.readers.notices import notice
-from datasets.scratch import new_array
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers.finish import check_range, value_range
+from econgs_bench.datasets.readers.notices import notice
+from econgs_bench.datasets.scratch import new_array
 
 FAR = 100.0
 """Distance of an outlier from the range of all other values, in lengths of that range."""

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import DataError
-from datasets.readers.axes import fill_outside
-from datasets.readers.fields import Choice, Field
-from datasets.readers.limits import shown
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers.axes import fill_outside
+from econgs_bench.datasets.readers.fields import Choice, Field
+from econgs_bench.datasets.readers.limits import shown
 
 DEFAULT_RESOLUTION = 128
 """Samples along the longest side of a mesh's box."""

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from datasets.errors import DataError
-from datasets.names import unknown
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.names import unknown
 
 KEYS = ("variable", "step", "resolution", "range", "missing")
 
@@ -25,7 +25,7 @@ class FileName:
         variable: name in the file.
         step: time step, from 0.
         resolution: samples along the longest side, for meshes only.
-        value_range, missing: which values are shown (:class:`datasets.readers.limits.Limits`).
+        value_range, missing: which values are shown (:class:`.datasets.readers.limits.Limits`).
     """
 
     path: Path

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import DataError
-from datasets.readers.container import Array
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers.container import Array
 
 _TYPES = {1: "i1", 2: "S1", 3: "i2", 4: "i4", 5: "f4", 6: "f8", 7: "u1", 8: "u2", 9: "u4", 10: "i8", 11: "u8"}
 _DIMENSIONS, _VARIABLES, _ATTRIBUTES = 10, 11, 12

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import DataError
-from datasets.readers.fields import Variable, channels_of
-from datasets.readers.finish import Spacing, check_expansion, positive_dims, wrong_size
-from datasets.readers.notices import notice
-from datasets.readers.single import Single
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers.fields import Variable, channels_of
+from econgs_bench.datasets.readers.finish import Spacing, check_expansion, positive_dims, wrong_size
+from econgs_bench.datasets.readers.notices import notice
+from econgs_bench.datasets.readers.single import Single
 
 _REMEDY = "Copy it again, or write it with nibabel as one 3-D scalar image"
 _NIFTI2 = (540, 0x1C020000)  # size of its header, in either byte order

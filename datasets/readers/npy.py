@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import DataError
-from datasets.readers.container import Array
-from datasets.readers.fields import Variable
-from datasets.readers.single import Single
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers.container import Array
+from econgs_bench.datasets.readers.fields import Variable
+from econgs_bench.datasets.readers.single import Single
 
 
 def open_npy(path: Path) -> Single:
@@ -29,8 +29,8 @@ def open_npy(path: Path) -> Single:
 
 
 def of_array(path: Path, values: NDArray[Any]) -> Single:
-    """A field by the conventions of arrays without names (:mod:`datasets.readers.arrays`)."""
-    from datasets.readers.arrays import variable_of
+    """A field by the conventions of arrays without names (:mod:`.datasets.readers.arrays`)."""
+    from econgs_bench.datasets.readers.arrays import variable_of
 
     variable = variable_of(Array("value", values.shape, values.dtype, ("",) * values.ndim))
     if variable is None or values.ndim == 3:  # what is no field is refused when its values are read

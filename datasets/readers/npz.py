@@ -13,11 +13,11 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.bounded import opened
-from datasets.errors import DataError
-from datasets.readers.container import Array
-from datasets.readers.finish import Spacing, check_expansion
-from datasets.readers.notices import notice
+from econgs_bench.datasets.bounded import opened
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers.container import Array
+from econgs_bench.datasets.readers.finish import Spacing, check_expansion
+from econgs_bench.datasets.readers.notices import notice
 
 _REMEDY = "Write it with numpy.savez or numpy.savez_compressed, arrays of shape (z, y, x)"
 _CHUNK = 1 << 24

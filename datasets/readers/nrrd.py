@@ -9,11 +9,11 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import DataError
-from datasets.readers.fields import Variable, channels_of
-from datasets.readers.finish import Spacing, positive_dims, read_values
-from datasets.readers.lengths import in_one_unit
-from datasets.readers.single import Single
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers.fields import Variable, channels_of
+from econgs_bench.datasets.readers.finish import Spacing, positive_dims, read_values
+from econgs_bench.datasets.readers.lengths import in_one_unit
+from econgs_bench.datasets.readers.single import Single
 
 _DTYPES = {
     "uint8": ("uchar", "unsigned char", "uint8", "uint8_t"),

@@ -24,12 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.errors import DataError
-from datasets.readers.fields import Variable
-from datasets.readers.finish import UNIT, Spacing, positive_dims, read_values
-from datasets.readers.limits import Limits
-from datasets.readers.single import Single
-from datasets.toml import read_toml
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers.fields import Variable
+from econgs_bench.datasets.readers.finish import UNIT, Spacing, positive_dims, read_values
+from econgs_bench.datasets.readers.limits import Limits
+from econgs_bench.datasets.readers.single import Single
+from econgs_bench.datasets.toml import read_toml
 
 _DTYPES = tuple(f"{sign}int{bits}" for bits in (8, 16, 32, 64) for sign in ("u", ""))
 _DTYPES = (*_DTYPES, "float16", "float32", "float64")

@@ -1,7 +1,7 @@
-"""Files that other people's libraries read, in a separate process (:mod:`datasets.readers.child`).
+"""Files that other people's libraries read, in a separate process (:mod:`.datasets.readers.child`).
 
 A damaged file can make such a library crash, hang, allocate without bound or end its process. Here each of
-these becomes a :class:`~datasets.errors.DataError`, and so does any text that the library writes on stderr.
+these becomes a :class:`~.datasets.errors.DataError`, and so does any text that the library writes on stderr.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import fcntl
 import json
 import math
-import os
 import re
 import select
 import signal
@@ -24,17 +23,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import DataError
-from datasets.readers.container import Array
-from datasets.readers.fields import Choice, Field, Variable, scalar
-from datasets.readers.notices import notice
-from datasets.scratch import new_array
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers.container import Array
+from econgs_bench.datasets.readers.fields import Choice, Field, Variable, scalar
+from econgs_bench.datasets.readers.notices import notice
+from econgs_bench.datasets.scratch import new_array
 
 PATIENCE = 60.0
 """Seconds without an answer until a file counts as damaged; more for large files."""
 _RATE = 10e6  # bytes per second, slower than any reader here
 _MEMORY = 4 << 30
-_ROOT = Path(__file__).parents[2]
 _MESSAGE = 300
 
 _HARMLESS = ("(Unknown Attribute Type None)",)
@@ -51,7 +49,7 @@ class Sandbox:
 
     Args:
         path: file or folder.
-        library: module of :mod:`datasets.readers.child`.
+        library: module of :mod:`.datasets.readers.child`.
         needed: bytes that its answers take.
     """
 
@@ -163,7 +161,7 @@ _WRITERS = {
 
 
 class Stored:
-    """A container of named arrays, :class:`~datasets.readers.container.Container`: HDF5 or Zarr.
+    """A container of named arrays, :class:`~.datasets.readers.container.Container`: HDF5 or Zarr.
 
     Contiguous arrays of HDF5 are mapped into memory.
     """
@@ -183,7 +181,7 @@ class Stored:
 
 
 class Foreign:
-    """The grids and meshes of a file, :class:`~datasets.readers.fields.Source`."""
+    """The grids and meshes of a file, :class:`~.datasets.readers.fields.Source`."""
 
     def __init__(self, path: Path, library: str) -> None:
         self.path = path
@@ -208,12 +206,12 @@ class Foreign:
         answer, parts = self._child.ask(read=choice.variable.name, step=choice.step)
         values = scalar(parts["values"], choice, self.path)
         if "points" in parts:
-            from datasets.readers.mesh import Mesh, resampled
+            from econgs_bench.datasets.readers.mesh import Mesh, resampled
 
             mesh = Mesh(parts["points"], parts["connectivity"], parts["ends"], parts["types"])
             checked = Mesh.joined([mesh], self.path)
             return resampled(checked, values, answer["of_cells"], choice, self.path)
-        from datasets.readers.axes import place
+        from econgs_bench.datasets.readers.axes import place
 
         axes = [parts.get(name) for name in "xyz"]
         mask = parts["mask"].view(np.bool_) if "mask" in parts else None
@@ -221,13 +219,19 @@ class Foreign:
 
 
 def _start(options: list[str], stderr: Any) -> subprocess.Popen[bytes]:
-    paths = [str(_ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
     return subprocess.Popen(
-        [sys.executable, "-P", "-W", "ignore", "-m", "datasets.readers.child", *options],
+        [
+            sys.executable,
+            "-P",
+            "-W",
+            "ignore",
+            "-m",
+            "econgs_bench.datasets.readers.child",
+            *options,
+        ],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=stderr,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
         bufsize=0,
     )
 

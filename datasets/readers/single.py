@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.readers.fields import Choice, Field, Variable, scalar
-from datasets.readers.finish import Spacing
-from datasets.readers.limits import Limits
+from econgs_bench.datasets.readers.fields import Choice, Field, Variable, scalar
+from econgs_bench.datasets.readers.finish import Spacing
+from econgs_bench.datasets.readers.limits import Limits
 
 
 class Single:
@@ -44,7 +44,7 @@ class Single:
 
     def read(self, choice: Choice) -> Field:
         """The values of one choice."""
-        from datasets.readers.axes import place
+        from econgs_bench.datasets.readers.axes import place
 
         values = scalar(self._load(choice.step), choice, self.path)
         return replace(place(values, (None, None, None), self.path, choice.limits), spacing=self._spacing)

@@ -13,12 +13,12 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import DataError
-from datasets.readers import finish
-from datasets.readers.axes import place
-from datasets.readers.fields import Choice, Field, Variable, channels_of, scalar
-from datasets.readers.mesh import Mesh, resampled
-from datasets.readers.text import numbers_until
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers import finish
+from econgs_bench.datasets.readers.axes import place
+from econgs_bench.datasets.readers.fields import Choice, Field, Variable, channels_of, scalar
+from econgs_bench.datasets.readers.mesh import Mesh, resampled
+from econgs_bench.datasets.readers.text import numbers_until
 
 _TYPES = {
     "unsigned_char": "u1", "char": "i1", "signed_char": "i1", "unsigned_short": "u2", "short": "i2",

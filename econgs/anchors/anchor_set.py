@@ -7,10 +7,10 @@ import math
 import torch
 from torch import Tensor
 
-from econgs.anchors.growing import AnchorRules, AnchorStatistics, grow, lattice_anchors, prunable
-from econgs.anchors.scalings import Activation, activated, logarithms, of_logarithms
-from econgs.optim import Adam
-from econgs.points import neighbour_distances
+from econgs_bench.econgs.anchors.growing import AnchorRules, AnchorStatistics, grow, lattice_anchors, prunable
+from econgs_bench.econgs.anchors.scalings import Activation, activated, logarithms, of_logarithms
+from econgs_bench.econgs.optim import Adam
+from econgs_bench.econgs.points import neighbour_distances
 
 PARAMETERS = ("features", "log_scalings", "offsets")
 MASKS = "masks"

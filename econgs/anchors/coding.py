@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from econgs.anchors.anchor_set import AnchorSet
-from econgs.context.hash_grid import Lookup
-from econgs.context.model import (
+from econgs_bench.econgs.anchors.anchor_set import AnchorSet
+from econgs_bench.econgs.context.hash_grid import Lookup
+from econgs_bench.econgs.context.model import (
     Attributes,
     Context,
     ContextConfig,
@@ -21,7 +21,7 @@ from econgs.context.model import (
     Rate,
     draw_sample,
 )
-from econgs.context.positions import PositionGrid
+from econgs_bench.econgs.context.positions import PositionGrid
 
 
 class Phases(Protocol):

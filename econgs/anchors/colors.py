@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from econgs.anchors.decoders import OFFSET_COLORS, Decoders
-from econgs.anchors.shading import unit
+from econgs_bench.econgs.anchors.decoders import OFFSET_COLORS, Decoders
+from econgs_bench.econgs.anchors.shading import unit
 
 
 def offset_colors(
@@ -14,7 +14,7 @@ def offset_colors(
 ) -> Tensor:
     """(N, 3, K) offset colors of all Gaussians of these anchors, also culled ones.
 
-    Arguments as in :func:`econgs.anchors.decode.decode`. Gradients reach features, embedding and the weights
+    Arguments as in :func:`.econgs.anchors.decode.decode`. Gradients reach features, embedding and the weights
     of F_s.
     """
     many = decoders.offsets

@@ -11,12 +11,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from datasets.camera import Camera
-from econgs.anchors.decoders import NETWORKS, OFFSET_COLORS, Decoders
-from econgs.anchors.gaussians import UnshadedGaussians, ViewGaussians
-from econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, unit
-from econgs.splat.composite import scale_depth
-from econgs.splat.rasterise import choose_backend, values_trusted
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.econgs.anchors.decoders import NETWORKS, OFFSET_COLORS, Decoders
+from econgs_bench.econgs.anchors.gaussians import UnshadedGaussians, ViewGaussians
+from econgs_bench.econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, unit
+from econgs_bench.econgs.splat.composite import scale_depth
+from econgs_bench.econgs.splat.rasterise import choose_backend, values_trusted
 
 MIN_QUATERNION = 1e-12  # a shorter quaternion becomes the identity
 Vector = Sequence[float] | NDArray[np.float64] | Tensor
@@ -43,7 +43,7 @@ def decode(
     * Scale: the last three scalings · sigmoid of F_cov's first three outputs; the other four, normalised, are
       the quaternion.
     * Shading: offset color by ``decoders.offset_color``, k_a and k_d linear, k_s = 5 sigmoid, β = 50 sigmoid.
-    * Color: :func:`econgs.anchors.shading.shade` of palette + offset color.
+    * Color: :func:`.econgs.anchors.shading.shade` of palette + offset color.
 
     Gradients reach anchors, features, scalings, offsets, embedding, palette and every weight; not eye and
     light. All tensors share one floating dtype and device.
@@ -59,11 +59,11 @@ def decode(
         eye: camera centre.
         light: unit vector to a directional light; None: a headlight.
         factors: edits.
-        backend: "native" or "torch", as in :func:`econgs.splat.rasterise` ("gsplat" means "torch" here).
+        backend: "native" or "torch", as in :func:`.econgs.splat.rasterise` ("gsplat" means "torch" here).
 
     Raises:
         ValueError: a wrong shape, dtype or device, or NaN or infinity; the message names the tensor.
-        datasets.errors.UnknownName: no backend of that name.
+        econgs_bench.datasets.errors.UnknownName: no backend of that name.
     """
     inputs = {"anchors": anchors, "features": features, "scalings": scalings, "offsets": offsets}
     inputs |= {"embedding": embedding, "palette": palette}
@@ -79,7 +79,7 @@ def decode(
     elif decoders.storage != "hybrid":
         backend = "torch"
     if choose_backend(anchors, backend) == "native":
-        from econgs.anchors import native
+        from econgs_bench.econgs.anchors import native
 
         try:
             decoded = native.decode(
@@ -223,7 +223,7 @@ def visible_anchors(camera: Camera, anchors: Tensor, scalings: Tensor) -> Tensor
     shifts = (camera.cx - 0.5 * camera.width) / camera.fx, (camera.cy - 0.5 * camera.height) / camera.fy
     edges = 0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy
     if choose_backend(anchors) == "native":
-        from econgs.anchors import native
+        from econgs_bench.econgs.anchors import native
 
         return native.visible_anchors(pose, camera.near, (*shifts, *edges), anchors, scalings)
     local = torch.addmm(pose[:, 3:], pose[:, :3], anchors.T)

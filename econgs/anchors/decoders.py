@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor, nn
 
-from datasets.names import unknown
+from econgs_bench.datasets.names import unknown
 
 OffsetColor = Literal["tanh", "sigmoid"]
 OFFSET_COLORS: dict[str, Callable[[Tensor], Tensor]] = {"tanh": torch.tanh, "sigmoid": torch.sigmoid}
@@ -68,7 +68,7 @@ class Decoders(nn.Module):
 
     Each takes anchor feature ‖ view direction (unit vector camera → anchor) ‖ TF embedding, in this order,
     and puts out, per Gaussian: opacity (1) · scale and quaternion (3 + 4) · offset color, k_a, k_d, k_s, β
-    (3 + 4) · normal (3). Activations: :mod:`econgs.anchors.decode`.
+    (3 + 4) · normal (3). Activations: :mod:`.econgs.anchors.decode`.
 
     Args:
         features: F, values of an anchor's feature.
@@ -95,7 +95,7 @@ class Decoders(nn.Module):
 
     Raises:
         ValueError: a width that is not positive.
-        datasets.errors.UnknownName: no such activation or storage.
+        econgs_bench.datasets.errors.UnknownName: no such activation or storage.
     """
 
     def __init__(

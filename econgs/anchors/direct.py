@@ -7,12 +7,12 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
-from econgs.anchors.decode import Vector, refuse_non_finite, rotation
-from econgs.anchors.decoders import Decoder
-from econgs.anchors.gaussians import ViewGaussians
-from econgs.anchors.shading import unit
-from econgs.splat.composite import scale_depth
-from econgs.splat.rasterise import choose_backend
+from econgs_bench.econgs.anchors.decode import Vector, refuse_non_finite, rotation
+from econgs_bench.econgs.anchors.decoders import Decoder
+from econgs_bench.econgs.anchors.gaussians import ViewGaussians
+from econgs_bench.econgs.anchors.shading import unit
+from econgs_bench.econgs.splat.composite import scale_depth
+from econgs_bench.econgs.splat.rasterise import choose_backend
 
 NETWORKS = {"opacity": 1, "covariance": 7, "color": 3}
 """Network → number of outputs per Gaussian."""
@@ -74,7 +74,7 @@ def decode_colors(
     opacity: float = 1.0,
     backend: str | None = None,
 ) -> ViewGaussians:
-    """The Gaussians of N anchors as one camera sees them; see :func:`econgs.anchors.decode.decode`.
+    """The Gaussians of N anchors as one camera sees them; see :func:`.econgs.anchors.decode.decode`.
 
     Means, culling, scales and quaternions equal those of ECoNGS; the color is the sigmoid of the color
     network. No gradient reaches the anchors' positions.
@@ -86,8 +86,8 @@ def decode_colors(
         offsets: (N, K, 3).
         decoders: the three networks.
         eye: camera centre.
-        opacity: factor on optical depths, as in :class:`econgs.anchors.shading.Factors`.
-        backend: "native" or "torch", as in :func:`econgs.splat.rasterise`.
+        opacity: factor on optical depths, as in :class:`.econgs.anchors.shading.Factors`.
+        backend: "native" or "torch", as in :func:`.econgs.splat.rasterise`.
 
     Raises:
         ValueError: a wrong shape, or NaN or infinity among the inputs.
@@ -109,7 +109,7 @@ def decode_colors(
         features = torch.cat([features, away], 1)
     inputs = (anchors, features, scalings, offsets)
     if choose_backend(anchors, backend) == "native":
-        from econgs.anchors import native
+        from econgs_bench.econgs.anchors import native
 
         weights = [one for name in NETWORKS for one in decoders.network(name).tensors()]
         decoded = native.decode_plain(inputs, weights, view, opacity > 0.0)

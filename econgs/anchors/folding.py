@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from econgs.anchors.decoders import Decoders
+from econgs_bench.econgs.anchors.decoders import Decoders
 
 
 @torch.no_grad()

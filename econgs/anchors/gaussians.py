@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from datasets.camera import Camera
-from econgs.anchors.shading import Factors, shade
-from econgs.splat.low_pass import LINEAGE, LowPass
-from econgs.splat.rasterise import SplatImages, rasterise
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.econgs.anchors.shading import Factors, shade
+from econgs_bench.econgs.splat.low_pass import LINEAGE, LowPass
+from econgs_bench.econgs.splat.rasterise import SplatImages, rasterise
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class UnshadedGaussians:
         factors: Factors,
         backend: str | None = None,
     ) -> Tensor:
-        """(M, 3) colors under edits; arguments as for :func:`econgs.anchors.shading.shade`."""
+        """(M, 3) colors under edits; arguments as for :func:`.econgs.anchors.shading.shade`."""
         base, coefficients = palette + self.offset_colors, factors.on(self.coefficients)
         return shade(self.means, self.normals, base, coefficients, eye, light, backend)
 

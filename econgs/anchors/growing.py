@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from econgs.splat.rasterise import choose_backend
+from econgs_bench.econgs.splat.rasterise import choose_backend
 
 LEVELS = 3
 HIERARCHY = 4
@@ -98,7 +98,7 @@ class AnchorStatistics:
             size: width and height of the view.
         """
         if choose_backend(pixel_gradients) == "native":
-            from econgs.anchors import native
+            from econgs_bench.econgs.anchors import native
 
             view = (visible, opacities, slots, pixel_gradients, radii)
             return native.record_view(vars(self).values(), view, size)

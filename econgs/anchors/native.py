@@ -12,11 +12,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-import econgs._native as _native
-import econgs.splat.native  # noqa: F401  (chooses instruction set and threads)
-from econgs.anchors.decoders import Decoders
-from econgs.anchors.gaussians import ViewGaussians
-from econgs.anchors.shading import Factors
+import econgs_bench.econgs._native as _native
+import econgs_bench.econgs.splat.native  # noqa: F401  (chooses instruction set and threads)
+from econgs_bench.econgs.anchors.decoders import Decoders
+from econgs_bench.econgs.anchors.gaussians import ViewGaussians
+from econgs_bench.econgs.anchors.shading import Factors
 
 
 class _Decode(torch.autograd.Function):
@@ -74,7 +74,7 @@ class _Decode(torch.autograd.Function):
 def visible_anchors(
     pose: Tensor, near: float, middle: Sequence[float], anchors: Tensor, scalings: Tensor
 ) -> Tensor:
-    """Native part of :func:`econgs.anchors.decode.visible_anchors`.
+    """Native part of :func:`.econgs.anchors.decode.visible_anchors`.
 
     The pose is (3, 4), world to camera; ``middle`` is the shift of the image's middle along x and y, then
     half its size, all over the focal length.
@@ -87,7 +87,7 @@ def visible_anchors(
 
 
 def record_view(statistics: Iterable[Tensor], view: Iterable[Tensor], size: tuple[int, int]) -> None:
-    """Native part of :meth:`econgs.anchors.growing.AnchorStatistics.record`: its fields, its arguments."""
+    """Native part of :meth:`.econgs.anchors.growing.AnchorStatistics.record`: its fields, its arguments."""
     arrays = (one.numpy() for one in (*statistics, *(one.detach().contiguous() for one in view)))
     given: list[Any] = [*arrays, 0.5 * size[0], 0.5 * size[1]]
     _native.record_view(*given)
@@ -96,7 +96,7 @@ def record_view(statistics: Iterable[Tensor], view: Iterable[Tensor], size: tupl
 def decode(
     *inputs: Tensor, decoders: Decoders, eye: Tensor, light: Tensor | None, factors: Factors
 ) -> ViewGaussians:
-    """Native part of :func:`econgs.anchors.decode.decode`; inputs in the same order, without the decoders.
+    """Native part of :func:`.econgs.anchors.decode.decode`; inputs in the same order, without the decoders.
 
     Raises:
         ValueError: NaN or infinity among the inputs.
@@ -112,7 +112,7 @@ def decode(
 def decode_plain(
     inputs: Sequence[Tensor], weights: Sequence[Tensor], eye: Tensor, visible: bool
 ) -> ViewGaussians:
-    """Native part of :func:`econgs.anchors.direct.decode_colors`: three networks, sigmoid colors, no shading.
+    """Native part of :func:`.econgs.anchors.direct.decode_colors`: networks, sigmoid colors, no shading.
 
     Args:
         inputs: anchors, features, scalings, offsets.

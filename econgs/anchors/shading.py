@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from econgs.splat.rasterise import choose_backend
+from econgs_bench.econgs.splat.rasterise import choose_backend
 
 MIN_NORMAL = 1e-3  # least divisor of a normal (iVR-GS)
 MIN_LENGTH = 1e-6  # shorter vectors have no direction: zero, without a gradient
@@ -80,14 +80,14 @@ def shade(
         coefficients: (M, 4) k_a, k_d, k_s, β.
         eye: (3,) camera centre.
         light: (3,) unit vector to the light; None: a headlight, l = h = v.
-        backend: "native" or "torch", as in :func:`econgs.splat.rasterise`; native has no gradients and is not
-            chosen where any are asked for.
+        backend: "native" or "torch", as in :func:`.econgs.splat.rasterise`; native has no gradients and is
+            not chosen where any are asked for.
     """
     learns = torch.is_grad_enabled() and any(
         one.requires_grad for one in (means, normals, base, coefficients)
     )
     if not learns and choose_backend(means, backend) == "native":
-        from econgs.anchors import native_shading
+        from econgs_bench.econgs.anchors import native_shading
 
         return native_shading.shade(means, normals, base, coefficients, eye, light)
     length = torch.linalg.vector_norm(normals, dim=-1, keepdim=True)

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
-from datasets.errors import DataError
+from econgs_bench.datasets.errors import DataError
 
 MAGIC = b"\x89ECONGS\n"
 VERSIONS = (1, 2, 3, 4)

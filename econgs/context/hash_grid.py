@@ -245,15 +245,15 @@ def compiled(like: Tensor) -> bool:
 
 @cache
 def _built() -> bool:
-    return importlib.util.find_spec("econgs._native") is not None
+    return importlib.util.find_spec("econgs_bench.econgs._native") is not None
 
 
 def native() -> Any:
     """The compiled module, after the choice of threads and instruction set."""
-    import econgs._native
-    import econgs.splat.native  # (chooses the number of threads)
+    import econgs_bench.econgs.splat.native  # noqa: F401  (chooses the number of threads)
+    from econgs_bench.econgs import _native
 
-    return econgs._native
+    return _native
 
 
 def interpolate(table: Tensor, lookup: Lookup, rows: Tensor | None = None) -> tuple[Tensor, Tensor]:

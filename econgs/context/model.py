@@ -17,8 +17,16 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from econgs.context.hash_grid import GRIDS, SMALL_GRID, GridConfig, HashGrid, Lookup, compiled, native
-from econgs.context.integer import (
+from econgs_bench.econgs.context.hash_grid import (
+    GRIDS,
+    SMALL_GRID,
+    GridConfig,
+    HashGrid,
+    Lookup,
+    compiled,
+    native,
+)
+from econgs_bench.econgs.context.integer import (
     ACTIVATION_BITS,
     MOST_INPUTS,
     OUTPUT_LIMIT,

@@ -17,11 +17,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from datasets.bounded import json_of
-from datasets.errors import DataError
-from econgs.context.arrays import Arrays, Precision, read_arrays, round_arrays, write_arrays
-from econgs.context.coder import SYMBOL_LIMIT, Decoder, Encoder, read_bits, write_bits
-from econgs.context.container import (
+from econgs_bench.datasets.bounded import json_of
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.econgs.context.arrays import Arrays, Precision, read_arrays, round_arrays, write_arrays
+from econgs_bench.econgs.context.coder import SYMBOL_LIMIT, Decoder, Encoder, read_bits, write_bits
+from econgs_bench.econgs.context.container import (
     ANEW,
     VERSIONS,
     Kind,
@@ -31,9 +31,9 @@ from econgs.context.container import (
     read_container,
     write_container,
 )
-from econgs.context.culling import kept_offsets
-from econgs.context.hash_grid import GridConfig, interpolate, make_lookup
-from econgs.context.integer import (
+from econgs_bench.econgs.context.culling import kept_offsets
+from econgs_bench.econgs.context.hash_grid import GridConfig, interpolate, make_lookup
+from econgs_bench.econgs.context.integer import (
     MOST_INPUTS,
     Coding,
     IntegerHead,
@@ -43,8 +43,8 @@ from econgs.context.integer import (
     step_sizes,
     whole_values,
 )
-from econgs.context.model import MOST_ELEMENTS, ContextConfig, ContextModel
-from econgs.context.positions import (
+from econgs_bench.econgs.context.model import MOST_ELEMENTS, ContextConfig, ContextModel
+from econgs_bench.econgs.context.positions import (
     PositionGrid,
     decode_positions,
     encode_positions,
@@ -52,7 +52,7 @@ from econgs.context.positions import (
     read_plain_positions,
     write_plain_positions,
 )
-from econgs.context.symbols import (
+from econgs_bench.econgs.context.symbols import (
     Present,
     columns_of,
     present_of,
@@ -173,7 +173,7 @@ class GroupAttributes:
         decoders: weights of the shared decoders by name, float32.
         metadata: JSON object (options for the renderer).
         culling: whether offsets of Gaussians that the decoder ``opacity`` culls become 0 and take no bits
-            (:mod:`econgs.context.culling`); only with context and without masks.
+            (:mod:`.econgs.context.culling`); only with context and without masks.
         plain_positions: whether positions are stored as float32, not coded.
     """
 

@@ -5,10 +5,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from econgs.context.coder import Decoder, Encoder, read_bits, read_residuals, write_bits, write_residuals
-from econgs.context.container import Reader
-from econgs.context.integer import Coding, IntegerIntra, MixedCoding
-from econgs.context.mixture import Mixture, first_weight, read_mixture, write_mixture
+from econgs_bench.econgs.context.coder import (
+    Decoder,
+    Encoder,
+    read_bits,
+    read_residuals,
+    write_bits,
+    write_residuals,
+)
+from econgs_bench.econgs.context.container import Reader
+from econgs_bench.econgs.context.integer import Coding, IntegerIntra, MixedCoding
+from econgs_bench.econgs.context.mixture import Mixture, first_weight, read_mixture, write_mixture
 
 Present = NDArray[np.bool_]
 

@@ -10,8 +10,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from econgs.context.hash_grid import compiled, native
-from econgs.rays import Rays
+from econgs_bench.econgs.context.hash_grid import compiled, native
+from econgs_bench.econgs.rays import Rays
 
 Corner = tuple[float, float, float]
 _AT_ONCE = 1024  # rays of a batch in plain PyTorch

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-from econgs.splat.low_pass import LINEAGE, LowPass
-from econgs.splat.rasterise import SplatImages, choose_backend, rasterise, trusted_values, values_trusted
-from econgs.splat.sh import spherical_harmonics
+from econgs_bench.econgs.splat.low_pass import LINEAGE, LowPass
+from econgs_bench.econgs.splat.rasterise import (
+    SplatImages,
+    choose_backend,
+    rasterise,
+    trusted_values,
+    values_trusted,
+)
+from econgs_bench.econgs.splat.sh import spherical_harmonics
 
 __all__ = [
     "LINEAGE",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from datasets.scene import RGB
+from econgs_bench.datasets.scene import RGB
 
 MIN_ALPHA = 1.0 / 255.0
 """Contributions below it are skipped."""

@@ -14,10 +14,10 @@ import math
 import torch
 from torch import Tensor
 
-from datasets.camera import Camera
-from econgs.splat.rays import deepen
-from econgs.splat.splats import Splats
-from econgs.splat.torch_backend import ray_factors
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.econgs.splat.rays import deepen
+from econgs_bench.econgs.splat.splats import Splats
+from econgs_bench.econgs.splat.torch_backend import ray_factors
 
 TILE = 16
 

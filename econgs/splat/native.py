@@ -16,10 +16,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-import econgs._native as _native
-from datasets.names import unknown
-from econgs.splat.low_pass import LowPass
-from econgs.splat.splats import Splats
+import econgs_bench.econgs._native as _native
+from econgs_bench.datasets.names import unknown
+from econgs_bench.econgs.splat.low_pass import LowPass
+from econgs_bench.econgs.splat.splats import Splats
 
 
 def available_isas(*, testing: bool = False) -> list[str]:
@@ -41,7 +41,7 @@ def set_isa(name: str) -> None:
     """Force an instruction set, for tests and comparisons.
 
     Raises:
-        datasets.errors.UnknownName: the build has no kernels of that name.
+        econgs_bench.datasets.errors.UnknownName: the build has no kernels of that name.
         RuntimeError: the processor lacks it.
     """
     built = list(_native.built_isas())
@@ -186,7 +186,7 @@ class _SphericalHarmonics(torch.autograd.Function):
 def spherical_harmonics(
     degree: int, means: Tensor, camera_position: Tensor, coefficients: Tensor, rest: Tensor | None = None
 ) -> Tensor:
-    """(N, 3) colors; arguments as in :func:`econgs.splat.spherical_harmonics`."""
+    """(N, 3) colors; arguments as in :func:`.econgs.splat.spherical_harmonics`."""
     colors: Tensor = _SphericalHarmonics.apply(degree, means, camera_position, coefficients, rest)
     return colors
 
@@ -253,7 +253,7 @@ class _ViewLoss(torch.autograd.Function):
 def view_losses(
     colors: Tensor, alpha: Tensor, truth: Tensor, back: Tensor, weights: tuple[float, ...]
 ) -> tuple[Tensor, Tensor]:
-    """Native part of :func:`econgs.losses.view_losses`, over a background (3,).
+    """Native part of :func:`.econgs.losses.view_losses`, over a background (3,).
 
     The weights are those of SSIM and of alpha, the share of alpha under which the latter grows, and to what.
     """

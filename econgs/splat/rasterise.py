@@ -17,10 +17,10 @@ from types import ModuleType
 import torch
 from torch import Tensor
 
-from datasets.camera import Camera
-from datasets.names import unknown
-from econgs.splat.low_pass import LINEAGE, LowPass
-from econgs.splat.splats import Splats
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.names import unknown
+from econgs_bench.econgs.splat.low_pass import LINEAGE, LowPass
+from econgs_bench.econgs.splat.splats import Splats
 
 BACKENDS = ("native", "gsplat", "torch")
 _trusted: ContextVar[bool] = ContextVar("trusted", default=False)
@@ -77,7 +77,7 @@ def rasterise(
     Raises:
         ValueError: a wrong shape, dtype or device, NaN or infinity, a zero quaternion, a negative scale or an
             opacity outside [0, 1]; the message names the tensor and the first bad index.
-        datasets.errors.UnknownName: no backend of that name.
+        econgs_bench.datasets.errors.UnknownName: no backend of that name.
     """
     tensors = {"means": means, "quats": quats, "scales": scales, "opacities": opacities, "features": features}
     if screen_offset is not None:
@@ -166,12 +166,17 @@ def native() -> ModuleType:
 
 
 def _module(backend: str) -> ModuleType:
-    return importlib.import_module(f"econgs.splat.{backend if backend == 'native' else f'{backend}_backend'}")
+    return importlib.import_module(
+        f"econgs_bench.econgs.splat.{backend if backend == 'native' else f'{backend}_backend'}"
+    )
 
 
 @cache
 def _present(backend: str) -> bool:
-    return importlib.util.find_spec("econgs._native" if backend == "native" else backend) is not None
+    return (
+        importlib.util.find_spec("econgs_bench.econgs._native" if backend == "native" else backend)
+        is not None
+    )
 
 
 @cache

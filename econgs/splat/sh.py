@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from econgs.splat.rasterise import choose_backend, native
+from econgs_bench.econgs.splat.rasterise import choose_backend, native
 
 MAX_DEGREE = 3
 
@@ -30,7 +30,7 @@ def spherical_harmonics(
         camera_position: (3,).
         coefficients: (N, K, 3) with K ≥ (degree + 1)²; or only the first, (N, 1, 3), where ``rest`` is given.
         rest: (N, K - 1, 3), the others: two tensors with learning rates of their own need not be joined.
-        backend: as in :func:`econgs.splat.rasterise`.
+        backend: as in :func:`.econgs.splat.rasterise`.
 
     Returns:
         (N, 3) colors, ≥ 0.

@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from datasets.camera import Camera
-from econgs.splat.low_pass import LINEAGE, LowPass
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.econgs.splat.low_pass import LINEAGE, LowPass
 
 
 class Splats(NamedTuple):
-    """What a backend splats; fields as the arguments of :func:`econgs.splat.rasterise`."""
+    """What a backend splats; fields as the arguments of :func:`.econgs.splat.rasterise`."""
 
     means: Tensor
     quats: Tensor

@@ -13,11 +13,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from datasets.camera import Camera
-from econgs.splat.composite import MIN_ALPHA
-from econgs.splat.low_pass import LowPass
-from econgs.splat.rays import deepen, relative_depths
-from econgs.splat.splats import Splats
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.econgs.splat.composite import MIN_ALPHA
+from econgs_bench.econgs.splat.low_pass import LowPass
+from econgs_bench.econgs.splat.rays import deepen, relative_depths
+from econgs_bench.econgs.splat.splats import Splats
 
 TILE = 16  # pixels
 MAX_ALPHA = 0.99
@@ -130,7 +130,7 @@ def project(
 
 
 def ray_factors(means: Tensor, quats: Tensor, scales: Tensor, camera: Camera, power: float) -> Tensor:
-    """N factors on optical depths in a view; see ``ray_power`` of :class:`econgs.splat.LowPass`."""
+    """N factors on optical depths in a view; see ``ray_power`` of :class:`.econgs.splat.LowPass`."""
     pose = torch.as_tensor(camera.world_to_camera, dtype=means.dtype, device=means.device)
     view = pose[:3, :3]
     x, y, z = (means @ view.T + pose[:3, 3]).unbind(-1)

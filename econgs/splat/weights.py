@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from econgs.splat.rasterise import rasterise
-from econgs.splat.splats import Splats
+from econgs_bench.econgs.splat.rasterise import rasterise
+from econgs_bench.econgs.splat.splats import Splats
 
 
 def blending_weights(splats: Splats) -> Tensor:

@@ -18,10 +18,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from econgs.context.hash_grid import compiled, native
-from econgs.rays import Rays
-from econgs.splat.sh import harmonics
-from econgs.voxels.grid import SH, VoxelGrid, Voxels
+from econgs_bench.econgs.context.hash_grid import compiled, native
+from econgs_bench.econgs.rays import Rays
+from econgs_bench.econgs.splat.sh import harmonics
+from econgs_bench.econgs.voxels.grid import SH, VoxelGrid, Voxels
 
 LEAST_DENSITY = 1e-8
 """Samples of less are empty (published)."""

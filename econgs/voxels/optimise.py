@@ -6,8 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from econgs.context.hash_grid import compiled, native
-from econgs.voxels.grid import SH, VoxelGrid, Voxels
+from econgs_bench.econgs.context.hash_grid import compiled, native
+from econgs_bench.econgs.voxels.grid import SH, VoxelGrid, Voxels
 
 EPS = 1e-8
 

@@ -13,18 +13,18 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from datasets.camera import Camera
-from datasets.errors import DataError
-from datasets.scene import RGB
-from econgs.splat import LINEAGE
-from econgs.splat.composite import MIN_ALPHA
-from econgs.splat.rays import MIN_THROUGH
-from econgs.splat.sh import harmonics
-from econgs.splat.splats import Splats
-from econgs.splat.torch_backend import MAX_ALPHA, Projected, project
-from methods.gaussian_splatting.model import SH_REST, SceneGaussians, SplatModel
-from methods.interface import HasGaussians
-from methods.shared.rendering import Rendering
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.scene import RGB
+from econgs_bench.econgs.splat import LINEAGE
+from econgs_bench.econgs.splat.composite import MIN_ALPHA
+from econgs_bench.econgs.splat.rays import MIN_THROUGH
+from econgs_bench.econgs.splat.sh import harmonics
+from econgs_bench.econgs.splat.splats import Splats
+from econgs_bench.econgs.splat.torch_backend import MAX_ALPHA, Projected, project
+from econgs_bench.methods.gaussian_splatting.model import SH_REST, SceneGaussians, SplatModel
+from econgs_bench.methods.interface import HasGaussians
+from econgs_bench.methods.shared.rendering import Rendering
 
 PLAIN = LINEAGE
 """How plain viewers draw: 0.3 px² are added to Gaussians, which are as dark from everywhere."""

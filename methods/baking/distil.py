@@ -7,15 +7,15 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import torch
 
-from datasets.camera import Camera
-from econgs.losses import view_losses
-from econgs.optim import Adam
-from econgs.splat import rasterise
-from econgs.splat.sh import spherical_harmonics
-from methods.baking.bake import PLAIN
-from methods.formats.gaussians import SHAPES
-from methods.gaussian_splatting.model import SceneGaussians
-from methods.interface import Model
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.econgs.losses import view_losses
+from econgs_bench.econgs.optim import Adam
+from econgs_bench.econgs.splat import rasterise
+from econgs_bench.econgs.splat.sh import spherical_harmonics
+from econgs_bench.methods.baking.bake import PLAIN
+from econgs_bench.methods.formats.gaussians import SHAPES
+from econgs_bench.methods.gaussian_splatting.model import SceneGaussians
+from econgs_bench.methods.interface import Model
 
 ITERATIONS = 1_000
 RATES = {"log_scales": 5e-3, "quats": 1e-3, "logits": 2e-2, "sh_dc": 2.5e-3, "sh_rest": 1e-3}

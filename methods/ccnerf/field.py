@@ -11,11 +11,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from datasets.scene import RGB
-from econgs.factors.lines import Lines, line_products
-from econgs.factors.rays import Region, Samples, march, ray_sums, ray_weights
-from econgs.rays import Rays
-from econgs.splat.sh import harmonics
+from econgs_bench.datasets.scene import RGB
+from econgs_bench.econgs.factors.lines import Lines, line_products
+from econgs_bench.econgs.factors.rays import Region, Samples, march, ray_sums, ray_weights
+from econgs_bench.econgs.rays import Rays
+from econgs_bench.econgs.splat.sh import harmonics
 
 DEGREE = 3
 BANDS = (DEGREE + 1) ** 2

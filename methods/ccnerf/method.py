@@ -1,8 +1,8 @@
 """CCNeRF-CP behind the interface of the harness."""
 
-from methods.ccnerf.model import CpModel
-from methods.ccnerf.training import Trainer
-from methods.shared.method import TrainerMethod
+from econgs_bench.methods.ccnerf.model import CpModel
+from econgs_bench.methods.ccnerf.training import Trainer
+from econgs_bench.methods.shared.method import TrainerMethod
 
 
 class CcNerf(TrainerMethod):

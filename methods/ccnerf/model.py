@@ -13,18 +13,18 @@ import torch
 from safetensors import SafetensorError
 from torch import Tensor
 
-from datasets.camera import Camera
-from datasets.errors import DataError
-from econgs.factors.lines import Lines
-from econgs.factors.rays import Region
-from econgs.rays import camera_rays
-from methods.ccnerf.field import BANDS, Factors, drawn
-from methods.interface import Refused
-from methods.shared.edits import triple
-from methods.shared.fields import FieldModel
-from methods.shared.files import saved_files
-from methods.shared.model import seconds
-from methods.shared.sealed import read_tensors, write_tensors
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.econgs.factors.lines import Lines
+from econgs_bench.econgs.factors.rays import Region
+from econgs_bench.econgs.rays import camera_rays
+from econgs_bench.methods.ccnerf.field import BANDS, Factors, drawn
+from econgs_bench.methods.interface import Refused
+from econgs_bench.methods.shared.edits import triple
+from econgs_bench.methods.shared.fields import FieldModel
+from econgs_bench.methods.shared.files import saved_files
+from econgs_bench.methods.shared.model import seconds
+from econgs_bench.methods.shared.sealed import read_tensors, write_tensors
 
 FORMAT = "econgs-bench ccnerf 1"
 SUFFIX = ".safetensors"

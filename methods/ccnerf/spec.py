@@ -3,7 +3,14 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, OptionValue, RateKnob, option
+from econgs_bench.methods.interface import (
+    SHARED_SOURCE,
+    Configuration,
+    MethodSpec,
+    OptionValue,
+    RateKnob,
+    option,
+)
 
 GROUPS = 5
 """Published number of groups of color ranks."""
@@ -73,7 +80,7 @@ SPEC = MethodSpec(
         "NeurIPS 2022"
     ),
     version="1",
-    implementation="methods.ccnerf.method:CcNerf",
+    implementation="econgs_bench.methods.ccnerf.method:CcNerf",
     source=SHARED_SOURCE,
     composable=True,
     point_sampled=True,

@@ -8,19 +8,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from datasets.scene import RGB
-from datasets.views import ViewSet
-from econgs.factors.lines import Lines, dense, resampled
-from econgs.factors.rays import Corner, Region, hits
-from econgs.losses import RESCUE, VANISHING
-from econgs.optim import Adam
-from econgs.rays import PixelRays, Rays, camera_rays
-from methods.ccnerf.field import BANDS, SCALE, SHIFT, Factors, trace
-from methods.ccnerf.model import CpModel
-from methods.ccnerf.schedule import Schedule
-from methods.ccnerf.spec import CpOptions
-from methods.interface import Checkpoint, Refused, SceneInput
-from methods.shared.training import CHECK_EVERY, TrainingLoop, TrainingState, are_transparent
+from econgs_bench.datasets.scene import RGB
+from econgs_bench.datasets.views import ViewSet
+from econgs_bench.econgs.factors.lines import Lines, dense, resampled
+from econgs_bench.econgs.factors.rays import Corner, Region, hits
+from econgs_bench.econgs.losses import RESCUE, VANISHING
+from econgs_bench.econgs.optim import Adam
+from econgs_bench.econgs.rays import PixelRays, Rays, camera_rays
+from econgs_bench.methods.ccnerf.field import BANDS, SCALE, SHIFT, Factors, trace
+from econgs_bench.methods.ccnerf.model import CpModel
+from econgs_bench.methods.ccnerf.schedule import Schedule
+from econgs_bench.methods.ccnerf.spec import CpOptions
+from econgs_bench.methods.interface import Checkpoint, Refused, SceneInput
+from econgs_bench.methods.shared.training import CHECK_EVERY, TrainingLoop, TrainingState, are_transparent
 
 MARGIN = 0.15
 """Room around the initial cloud, as a share of its longest side."""
@@ -35,7 +35,7 @@ MOST_PROLONGED = 4096
 class Trainer(TrainingLoop):
     """State of a fit: factors, optimiser, box with occupied cells, random state.
 
-    Arguments: a scene, resolved options, and those of :class:`methods.shared.training.TrainingLoop`.
+    Arguments: a scene, resolved options, and those of :class:`.methods.shared.training.TrainingLoop`.
 
     Attributes:
         region: box and occupied cells; one cell until empty ones are looked for.

@@ -1,8 +1,8 @@
 """3dgs-coded behind the interface of the harness."""
 
-from methods.coded.model import CodedModel
-from methods.coded.training import CodedTrainer
-from methods.shared.method import TrainerMethod
+from econgs_bench.methods.coded.model import CodedModel
+from econgs_bench.methods.coded.training import CodedTrainer
+from econgs_bench.methods.shared.method import TrainerMethod
 
 
 class CodedSplatting(TrainerMethod):

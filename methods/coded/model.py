@@ -14,15 +14,15 @@ from urllib.parse import quote
 
 import torch
 
-from datasets.bounded import json_of
-from datasets.errors import DataError
-from methods.coded.spec import CODECS, DEFAULT
-from methods.formats.gaussians import scene_of
-from methods.gaussian_splatting.model import SceneGaussians, SplatModel
-from methods.interface import Refused
-from methods.shared.decoders import own_streams
-from methods.shared.edits import triple
-from methods.shared.files import saved_files
+from econgs_bench.datasets.bounded import json_of
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.methods.coded.spec import CODECS, DEFAULT
+from econgs_bench.methods.formats.gaussians import scene_of
+from econgs_bench.methods.gaussian_splatting.model import SceneGaussians, SplatModel
+from econgs_bench.methods.interface import Refused
+from econgs_bench.methods.shared.decoders import own_streams
+from econgs_bench.methods.shared.edits import triple
+from econgs_bench.methods.shared.files import saved_files
 
 FORMAT = "econgs-bench 3dgs-coded 1"
 _ABOUT = ".codec"
@@ -34,7 +34,7 @@ class SavedScene:
     """The files of a scene.
 
     Attributes:
-        codec: its number in :data:`methods.coded.spec.CODECS`.
+        codec: its number in :data:`.methods.coded.spec.CODECS`.
         gaussians, about: bytes of both files.
     """
 
@@ -69,7 +69,7 @@ class CodedModel(SplatModel):
 
         Args:
             folder: where to.
-            rate: number of a codec in :data:`methods.coded.spec.CODECS`.
+            rate: number of a codec in :data:`.methods.coded.spec.CODECS`.
 
         Raises:
             Refused: there is no such codec, or a package that it needs; or the model was loaded from files of
@@ -96,7 +96,7 @@ class CodedModel(SplatModel):
 
 
 def _format(number: int) -> Any:
-    return import_module(f"methods.formats.{CODECS[number].format}")
+    return import_module(f"econgs_bench.methods.formats.{CODECS[number].format}")
 
 
 def _write(

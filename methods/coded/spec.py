@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from methods.gaussian_splatting.spec import SPEC as PLAIN
-from methods.interface import RateKnob
+from econgs_bench.methods.gaussian_splatting.spec import SPEC as PLAIN
+from econgs_bench.methods.interface import RateKnob
 
 
 @dataclass(frozen=True)
@@ -13,7 +13,7 @@ class Codec:
 
     Attributes:
         name: of the codec and its quantisation, for people and for files.
-        format: module of :mod:`methods.formats`.
+        format: module of :mod:`.methods.formats`.
         settings: further arguments of its writer.
     """
 
@@ -44,6 +44,6 @@ SPEC = replace(
         "coder of this project"
     ),
     version="3",
-    implementation="methods.coded.method:CodedSplatting",
+    implementation="econgs_bench.methods.coded.method:CodedSplatting",
     rate_knobs=(RateKnob("codec", tuple(CODECS), refit=False),),
 )

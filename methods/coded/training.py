@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from methods.coded.model import CodedModel
-from methods.gaussian_splatting.spec import HarmonicsOptions
-from methods.gaussian_splatting.training import Trainer, plain_gaussians
-from methods.shared.training import TrainingState
+from econgs_bench.methods.coded.model import CodedModel
+from econgs_bench.methods.gaussian_splatting.spec import HarmonicsOptions
+from econgs_bench.methods.gaussian_splatting.training import Trainer, plain_gaussians
+from econgs_bench.methods.shared.training import TrainingState
 
 
 class CodedTrainer(Trainer):

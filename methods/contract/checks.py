@@ -24,14 +24,14 @@ import numpy as np
 import torch
 from safetensors.torch import load, save
 
-from datasets.camera import Camera
-from datasets.errors import DataError
-from datasets.transfer import Bump, TransferFunction
-from econgs.splat.composite import over
-from econgs.splat.rasterise import rasterise
-from methods.contract.scene import away, cameras, tiny_scene
-from methods.failures import Failure, Fault, failure
-from methods.interface import (
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.transfer import Bump, TransferFunction
+from econgs_bench.econgs.splat.composite import over
+from econgs_bench.econgs.splat.rasterise import rasterise
+from econgs_bench.methods.contract.scene import away, cameras, tiny_scene
+from econgs_bench.methods.failures import Failure, Fault, failure
+from econgs_bench.methods.interface import (
     PRESETS,
     Budget,
     Checkpoint,
@@ -47,8 +47,8 @@ from methods.interface import (
     SceneInput,
     check_ledger,
 )
-from methods.options import CONFIGURATION, declared, resolve
-from methods.registry import check_spec
+from econgs_bench.methods.options import CONFIGURATION, declared, resolve
+from econgs_bench.methods.registry import check_spec
 
 TOLERANCE = 1e-6  # of colors and alpha: a model must not depend on the process that renders it
 _DECODED = 1e-5
@@ -323,8 +323,9 @@ def saved_and_loaded(subject: Subject) -> str:
     plugins = (str(Path(folder).resolve()) for folder in subject.plugins)
     arguments = [subject.spec.name, subject.device, str(subject.folder), *plugins]
     done = subprocess.run(
-        [sys.executable, "-m", "methods.contract.fresh", *arguments],
-        cwd=Path(__file__).resolve().parents[2], capture_output=True, encoding="utf-8", check=False,
+        [sys.executable, "-m", "econgs_bench.methods.contract.fresh", *arguments],
+        cwd=subject.folder,
+        capture_output=True, encoding="utf-8", check=False,
     )  # fmt: skip
     if done.returncode != 0:
         raise _elsewhere(done, subject.folder / "failure.json")

@@ -1,4 +1,6 @@
-"""Renders a saved model in a process of its own: ``python -m methods.contract.fresh NAME DEVICE FOLDER ...``.
+"""Renders a saved model in a process of its own.
+
+``python -m econgs_bench.methods.contract.fresh NAME DEVICE FOLDER ...`` is that process.
 
 FOLDER holds ``model`` and ``view.npz``; it gets ``picture.npz`` or ``failure.json``. Plugin folders follow.
 """
@@ -12,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.camera import Camera
-from methods.failures import failure
-from methods.registry import Registry, load_method
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.methods.failures import failure
+from econgs_bench.methods.registry import Registry, load_method
 
 
 def main(name: str, device: str, folder: str, *plugins: str) -> int:

@@ -11,16 +11,16 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from datasets.camera import Camera
-from datasets.cloud import PointCloud
-from datasets.ground_truth.model import Layer
-from datasets.ground_truth.reference import ReferenceMarcher
-from datasets.scene import BasicScene, Isosurface
-from datasets.transfer import Bump, TransferFunction
-from datasets.views import ViewSet
-from datasets.volume import Volume
-from econgs.splat.rasterise import rasterise
-from methods.interface import SceneInput
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.cloud import PointCloud
+from econgs_bench.datasets.ground_truth.model import Layer
+from econgs_bench.datasets.ground_truth.reference import ReferenceMarcher
+from econgs_bench.datasets.scene import BasicScene, Isosurface
+from econgs_bench.datasets.transfer import Bump, TransferFunction
+from econgs_bench.datasets.views import ViewSet
+from econgs_bench.datasets.volume import Volume
+from econgs_bench.econgs.splat.rasterise import rasterise
+from econgs_bench.methods.interface import SceneInput
 
 SIZE = 32
 COUNT = 24

@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 
-from datasets.scratch import is_mapped
-from methods.econgs.spec import EcongsOptions
-from methods.econgs.start import starting_points
-from methods.interface import Refused, SceneInput
+from econgs_bench.datasets.scratch import is_mapped
+from econgs_bench.methods.econgs.spec import EcongsOptions
+from econgs_bench.methods.econgs.start import starting_points
+from econgs_bench.methods.interface import Refused, SceneInput
 
 MIB = 2**20
 PROCESS = 600 * MIB
@@ -22,7 +22,7 @@ COPIES = 6
 def group_bytes(group: Sequence[SceneInput], options: EcongsOptions) -> int:
     """Peak host memory of training a group: its views, its anchors and what belongs to them, one frame.
 
-    Views that lie in a file (:mod:`datasets.scratch`) take none.
+    Views that lie in a file (:mod:`.datasets.scratch`) take none.
     """
     values = options.features + 6 + 3 * options.offsets
     images = [views.images for scene in group for views in (scene.train, scene.validation)]

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from econgs.grouping import chamfer_distances, cluster
-from methods.econgs.memory import fit_to_memory
-from methods.econgs.model import EcongsModel
-from methods.econgs.spec import EcongsOptions
-from methods.econgs.training import Trainer
-from methods.interface import Refused, SceneInput
-from methods.shared.method import TrainerMethod
-from methods.shared.units import units_of
+from econgs_bench.econgs.grouping import chamfer_distances, cluster
+from econgs_bench.methods.econgs.memory import fit_to_memory
+from econgs_bench.methods.econgs.model import EcongsModel
+from econgs_bench.methods.econgs.spec import EcongsOptions
+from econgs_bench.methods.econgs.training import Trainer
+from econgs_bench.methods.interface import Refused, SceneInput
+from econgs_bench.methods.shared.method import TrainerMethod
+from econgs_bench.methods.shared.units import units_of
 
 
 class Econgs(TrainerMethod):

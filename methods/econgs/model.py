@@ -13,22 +13,22 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from datasets.camera import Camera
-from datasets.errors import DataError, UnknownName
-from datasets.scene import RGB
-from econgs.anchors.decode import decode, decode_unshaded, visible_anchors
-from econgs.anchors.decoders import Decoders
-from econgs.anchors.gaussians import Gaussians, UnshadedGaussians
-from econgs.context.arrays import Precision
-from econgs.context.container import Kind, overhead, read_container
-from econgs.context.model import Attributes
-from econgs.context.stream import GroupAttributes, SceneAttributes, encode_group
-from econgs.splat.composite import scale_depth
-from methods.interface import Decoding, Edit
-from methods.shared.coding import placed, placed_anchors, stored_networks
-from methods.shared.edits import Direction, shading_edit, triple
-from methods.shared.files import read_streams
-from methods.shared.model import SceneModel
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.errors import DataError, UnknownName
+from econgs_bench.datasets.scene import RGB
+from econgs_bench.econgs.anchors.decode import decode, decode_unshaded, visible_anchors
+from econgs_bench.econgs.anchors.decoders import Decoders
+from econgs_bench.econgs.anchors.gaussians import Gaussians, UnshadedGaussians
+from econgs_bench.econgs.context.arrays import Precision
+from econgs_bench.econgs.context.container import Kind, overhead, read_container
+from econgs_bench.econgs.context.model import Attributes
+from econgs_bench.econgs.context.stream import GroupAttributes, SceneAttributes, encode_group
+from econgs_bench.econgs.splat.composite import scale_depth
+from econgs_bench.methods.interface import Decoding, Edit
+from econgs_bench.methods.shared.coding import placed, placed_anchors, stored_networks
+from econgs_bench.methods.shared.edits import Direction, shading_edit, triple
+from econgs_bench.methods.shared.files import read_streams
+from econgs_bench.methods.shared.model import SceneModel
 
 SUFFIX = ".econgs"
 
@@ -144,7 +144,7 @@ class EcongsModel(SceneModel[SceneAnchors]):
             self.preparation = "shade"
 
     def decoding(self, scenes: Sequence[str]) -> Decoding:
-        """Once, unless decoders see the direction; see :class:`methods.interface.HasDecoders`."""
+        """Once, unless decoders see the direction; see :class:`.methods.interface.HasDecoders`."""
         return "per frame" if any(map(self._each_frame, self.chosen(scenes))) else "once"
 
     def decoding_each_frame(self) -> EcongsModel:
@@ -161,7 +161,7 @@ class EcongsModel(SceneModel[SceneAnchors]):
         return sum(len(_encode(group)) for group in self.groups)
 
     def attributes(self, scene: str, count: int) -> Mapping[str, Tensor]:
-        """Features, scalings and offsets of anchors; see :class:`methods.interface.HasAttributes`."""
+        """Features, scalings and offsets of anchors; see :class:`.methods.interface.HasAttributes`."""
         anchors = self.scene(scene)
         rows = torch.linspace(0, len(anchors) - 1, min(count, len(anchors))).long()
         values = anchors.values.of(rows.to(anchors.positions.device))

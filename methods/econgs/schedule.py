@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from methods.shared.schedule import AnchorSchedule
+from econgs_bench.methods.shared.schedule import AnchorSchedule
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,15 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, RateKnob, option, with_default
-from methods.shared import splatting
+from econgs_bench.methods.interface import (
+    SHARED_SOURCE,
+    Configuration,
+    MethodSpec,
+    RateKnob,
+    option,
+    with_default,
+)
+from econgs_bench.methods.shared import splatting
 
 
 @dataclass(frozen=True)
@@ -159,7 +166,7 @@ SPEC = MethodSpec(
         "K. Tang, C. Wang: ECoNGS: Efficient Compressive Neural Gaussian Splats for Volume Visualization"
     ),
     version="7",
-    implementation="methods.econgs.method:Econgs",
+    implementation="econgs_bench.methods.econgs.method:Econgs",
     source=SHARED_SOURCE,
     joint=True,
     composable=True,

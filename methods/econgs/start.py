@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from methods.econgs.spec import EcongsOptions
-from methods.interface import SceneInput
-from methods.shared.anchors import start_cloud
-from methods.shared.start import thinned
+from econgs_bench.methods.econgs.spec import EcongsOptions
+from econgs_bench.methods.interface import SceneInput
+from econgs_bench.methods.shared.anchors import start_cloud
+from econgs_bench.methods.shared.start import thinned
 
 
 def starting_points(

@@ -11,32 +11,38 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from datasets.camera import Camera
-from econgs.anchors.anchor_set import AnchorSet
-from econgs.anchors.coding import Coding
-from econgs.anchors.colors import offset_colors
-from econgs.anchors.decode import decode, visible_anchors
-from econgs.anchors.decoders import Decoders
-from econgs.anchors.folding import fold_embeddings
-from econgs.anchors.gaussians import ViewGaussians
-from econgs.anchors.growing import AnchorRules
-from econgs.anchors.scalings import activated
-from econgs.anchors.shading import raw_specular
-from econgs.context.arrays import round_arrays
-from econgs.context.model import Attributes, ContextConfig
-from econgs.context.positions import PositionGrid
-from econgs.context.stream import GroupAttributes, SceneAttributes, round_group
-from econgs.optim import Adam
-from methods.econgs.control import STEPS, RateControl
-from methods.econgs.model import EcongsModel, Group, decoders_metadata
-from methods.econgs.schedule import Schedule
-from methods.econgs.spec import EcongsOptions
-from methods.econgs.start import starting_points
-from methods.interface import Checkpoint, SceneInput
-from methods.shared.anchors import AnchorLoop, Rate, hidden_units
-from methods.shared.coding import coded_context
-from methods.shared.rent import Frame, Holding, some_views
-from methods.shared.training import CHECK_EVERY, TrainingState, are_transparent, to_numpy, training_images
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.econgs.anchors.anchor_set import AnchorSet
+from econgs_bench.econgs.anchors.coding import Coding
+from econgs_bench.econgs.anchors.colors import offset_colors
+from econgs_bench.econgs.anchors.decode import decode, visible_anchors
+from econgs_bench.econgs.anchors.decoders import Decoders
+from econgs_bench.econgs.anchors.folding import fold_embeddings
+from econgs_bench.econgs.anchors.gaussians import ViewGaussians
+from econgs_bench.econgs.anchors.growing import AnchorRules
+from econgs_bench.econgs.anchors.scalings import activated
+from econgs_bench.econgs.anchors.shading import raw_specular
+from econgs_bench.econgs.context.arrays import round_arrays
+from econgs_bench.econgs.context.model import Attributes, ContextConfig
+from econgs_bench.econgs.context.positions import PositionGrid
+from econgs_bench.econgs.context.stream import GroupAttributes, SceneAttributes, round_group
+from econgs_bench.econgs.optim import Adam
+from econgs_bench.methods.econgs.control import STEPS, RateControl
+from econgs_bench.methods.econgs.model import EcongsModel, Group, decoders_metadata
+from econgs_bench.methods.econgs.schedule import Schedule
+from econgs_bench.methods.econgs.spec import EcongsOptions
+from econgs_bench.methods.econgs.start import starting_points
+from econgs_bench.methods.interface import Checkpoint, SceneInput
+from econgs_bench.methods.shared.anchors import AnchorLoop, Rate, hidden_units
+from econgs_bench.methods.shared.coding import coded_context
+from econgs_bench.methods.shared.rent import Frame, Holding, some_views
+from econgs_bench.methods.shared.training import (
+    CHECK_EVERY,
+    TrainingState,
+    are_transparent,
+    to_numpy,
+    training_images,
+)
 
 DECODER_RATES: dict[str, Rate] = {
     "opacity": (2e-3, 2e-5),
@@ -99,7 +105,7 @@ class Trainer(AnchorLoop):
     """State of a fit: anchors of every scene, shared networks, optimiser, order of views, random state.
 
     Arguments: the scenes to train together, resolved options, and those of
-    :class:`methods.shared.training.TrainingLoop`. Each step sees one view of one scene.
+    :class:`.methods.shared.training.TrainingLoop`. Each step sees one view of one scene.
 
     Raises:
         Refused: a scene without views or points.

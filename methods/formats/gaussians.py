@@ -13,14 +13,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from datasets.errors import DataError
-from datasets.scene import RGB
-from methods.gaussian_splatting.model import SH_REST, SceneGaussians
-from methods.gaussian_splatting.ply import LARGEST_LOG, no_turn
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.scene import RGB
+from econgs_bench.methods.gaussian_splatting.model import SH_REST, SceneGaussians
+from econgs_bench.methods.gaussian_splatting.ply import LARGEST_LOG, no_turn
 
 Tables = Mapping[str, NDArray[np.float32]]
 """``means`` (N, 3), ``log_scales`` (N, 3), ``quats`` (N, 4), ``logits`` (N,), ``sh_dc`` (N, 1, 3) and
-``sh_rest`` (N, 15, 3): as of :class:`methods.gaussian_splatting.model.SceneGaussians`, in float32."""
+``sh_rest`` (N, 15, 3): as of :class:`.methods.gaussian_splatting.model.SceneGaussians`, in float32."""
 Frame = tuple[int, int, int]
 """Signs of x, y and z whose product is 1: a half turn about an axis."""
 

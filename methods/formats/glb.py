@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from methods.formats.gaussians import COEFFICIENTS, LEFT_UP_FRONT, degree_of, tables
-from methods.gaussian_splatting.initialise import SH_C0
-from methods.gaussian_splatting.model import SceneGaussians
+from econgs_bench.methods.formats.gaussians import COEFFICIENTS, LEFT_UP_FRONT, degree_of, tables
+from econgs_bench.methods.gaussian_splatting.initialise import SH_C0
+from econgs_bench.methods.gaussian_splatting.model import SceneGaussians
 
 SUFFIX = ".glb"
 EXTENSION = "KHR_gaussian_splatting"

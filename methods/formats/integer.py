@@ -22,9 +22,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from econgs.context.coder import Decoder, Encoder, read_residuals, write_residuals
-from econgs.context.positions import PositionGrid, decode_positions, encode_positions, morton_order
-from econgs.context.tables import (
+from econgs_bench.econgs.context.coder import Decoder, Encoder, read_residuals, write_residuals
+from econgs_bench.econgs.context.positions import (
+    PositionGrid,
+    decode_positions,
+    encode_positions,
+    morton_order,
+)
+from econgs_bench.econgs.context.tables import (
     FREQUENCY_BITS,
     MEAN_PARTS,
     SPREAD_OCTAVES,
@@ -34,8 +39,8 @@ from econgs.context.tables import (
     low_bits,
     table_index,
 )
-from methods.formats.gaussians import COEFFICIENTS, SHAPES, Tables, checked, degree_of, tables
-from methods.gaussian_splatting.model import SceneGaussians
+from econgs_bench.methods.formats.gaussians import COEFFICIENTS, SHAPES, Tables, checked, degree_of, tables
+from econgs_bench.methods.gaussian_splatting.model import SceneGaussians
 
 SUFFIX = ".ints"
 MAGIC = b"\x89GAUSS\n1"

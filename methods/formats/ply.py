@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from methods.formats.gaussians import Tables, checked, scene_of, tables
-from methods.gaussian_splatting.model import SceneGaussians
-from methods.gaussian_splatting.ply import read_ply, write_ply
+from econgs_bench.methods.formats.gaussians import Tables, checked, scene_of, tables
+from econgs_bench.methods.gaussian_splatting.model import SceneGaussians
+from econgs_bench.methods.gaussian_splatting.ply import read_ply, write_ply
 
 SUFFIX = ".ply"
 

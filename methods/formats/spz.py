@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from methods.formats.gaussians import (
+from econgs_bench.methods.formats.gaussians import (
     COEFFICIENTS,
     RIGHT_UP_BACK,
     SHAPES,
@@ -22,9 +22,9 @@ from methods.formats.gaussians import (
     tables,
     turned,
 )
-from methods.gaussian_splatting.model import SceneGaussians
-from methods.interface import Refused
-from methods.shared.decoders import decoded
+from econgs_bench.methods.gaussian_splatting.model import SceneGaussians
+from econgs_bench.methods.interface import Refused
+from econgs_bench.methods.shared.decoders import decoded
 
 SUFFIX = ".spz"
 VERSION = 3  # viewers of today refuse 4

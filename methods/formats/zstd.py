@@ -8,10 +8,10 @@ from pathlib import Path
 
 import imagecodecs
 
-from methods.formats import ply
-from methods.formats.gaussians import Tables, checked
-from methods.gaussian_splatting.model import SceneGaussians
-from methods.shared.decoders import decoded
+from econgs_bench.methods.formats import ply
+from econgs_bench.methods.formats.gaussians import Tables, checked
+from econgs_bench.methods.gaussian_splatting.model import SceneGaussians
+from econgs_bench.methods.shared.decoders import decoded
 
 SUFFIX = ".ply.zst"
 LEVEL = 19

@@ -8,7 +8,7 @@ from functools import cache
 import torch
 from torch import Tensor
 
-from methods.gaussian_splatting.densify import rotate
+from econgs_bench.methods.gaussian_splatting.densify import rotate
 
 MOST_COPIES = 50
 """Of one Gaussian at one event; the binomials of more cancel."""

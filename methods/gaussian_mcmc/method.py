@@ -1,8 +1,8 @@
 """3DGS-MCMC behind the interface of the harness."""
 
-from methods.gaussian_mcmc.training import McmcTrainer
-from methods.gaussian_splatting.model import GaussianModel
-from methods.shared.method import TrainerMethod
+from econgs_bench.methods.gaussian_mcmc.training import McmcTrainer
+from econgs_bench.methods.gaussian_splatting.model import GaussianModel
+from econgs_bench.methods.shared.method import TrainerMethod
 
 
 class GaussianMcmc(TrainerMethod):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from methods.gaussian_splatting import schedule
+from econgs_bench.methods.gaussian_splatting import schedule
 
 LEAST_INTERVAL = 10
 """Least number of iterations between relocations: what has just moved must be seen before it is judged."""

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass, replace
 
-from methods.gaussian_splatting.spec import PUBLISHED as PLAIN_PUBLISHED
-from methods.gaussian_splatting.spec import QUICK, HarmonicsOptions
-from methods.gaussian_splatting.spec import SPEC as PLAIN
-from methods.gaussian_splatting.spec import TUNED as PLAIN_TUNED
-from methods.interface import Configuration, OptionValue, RateKnob, option, with_default
-from methods.shared import splatting
+from econgs_bench.methods.gaussian_splatting.spec import PUBLISHED as PLAIN_PUBLISHED
+from econgs_bench.methods.gaussian_splatting.spec import QUICK, HarmonicsOptions
+from econgs_bench.methods.gaussian_splatting.spec import SPEC as PLAIN
+from econgs_bench.methods.gaussian_splatting.spec import TUNED as PLAIN_TUNED
+from econgs_bench.methods.interface import Configuration, OptionValue, RateKnob, option, with_default
+from econgs_bench.methods.shared import splatting
 
 PUBLISHED: dict[str, OptionValue] = {**PLAIN_PUBLISHED, "start_opacity": 0.5, "cap": 300_000}
 """How the released code starts; its caps are what 3DGS ends with, 150,000 to 350,000 on synthetic scenes."""
@@ -50,7 +50,7 @@ SPEC = replace(
         "3D Gaussian Splatting as Markov Chain Monte Carlo. NeurIPS 2024"
     ),
     version="3",
-    implementation="methods.gaussian_mcmc.method:GaussianMcmc",
+    implementation="econgs_bench.methods.gaussian_mcmc.method:GaussianMcmc",
     options=McmcOptions,
     presets={
         "quick": {**QUICK, **TUNED, "cap": 20_000},

@@ -5,13 +5,13 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from datasets.camera import Camera
-from datasets.scene import RGB
-from methods.gaussian_mcmc.chain import noise, shared_opacity
-from methods.gaussian_mcmc.schedule import Schedule
-from methods.gaussian_mcmc.spec import McmcOptions
-from methods.gaussian_splatting.initialise import first_gaussians, first_points
-from methods.gaussian_splatting.training import HarmonicsTrainer
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.scene import RGB
+from econgs_bench.methods.gaussian_mcmc.chain import noise, shared_opacity
+from econgs_bench.methods.gaussian_mcmc.schedule import Schedule
+from econgs_bench.methods.gaussian_mcmc.spec import McmcOptions
+from econgs_bench.methods.gaussian_splatting.initialise import first_gaussians, first_points
+from econgs_bench.methods.gaussian_splatting.training import HarmonicsTrainer
 
 START_SCALE = 0.1
 """First scales, in distances to neighbours."""

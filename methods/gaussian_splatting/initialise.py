@@ -6,11 +6,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from econgs.points import neighbour_distances
-from methods.gaussian_splatting.model import SH_REST
-from methods.gaussian_splatting.spec import HarmonicsOptions
-from methods.interface import Refused, SceneInput
-from methods.shared.start import thinned
+from econgs_bench.econgs.points import neighbour_distances
+from econgs_bench.methods.gaussian_splatting.model import SH_REST
+from econgs_bench.methods.gaussian_splatting.spec import HarmonicsOptions
+from econgs_bench.methods.interface import Refused, SceneInput
+from econgs_bench.methods.shared.start import thinned
 
 SH_C0 = 0.28209479177387814
 

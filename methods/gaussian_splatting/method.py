@@ -1,8 +1,8 @@
 """3DGS behind the interface of the harness."""
 
-from methods.gaussian_splatting.model import GaussianModel
-from methods.gaussian_splatting.training import Trainer
-from methods.shared.method import TrainerMethod
+from econgs_bench.methods.gaussian_splatting.model import GaussianModel
+from econgs_bench.methods.gaussian_splatting.training import Trainer
+from econgs_bench.methods.shared.method import TrainerMethod
 
 
 class GaussianSplatting(TrainerMethod):

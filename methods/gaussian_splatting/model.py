@@ -10,18 +10,18 @@ from urllib.parse import quote
 import numpy as np
 import torch
 
-from datasets.camera import Camera
-from datasets.errors import DataError
-from datasets.scene import RGB
-from econgs.anchors.gaussians import Gaussians
-from econgs.splat.composite import scale_depth
-from econgs.splat.sh import spherical_harmonics
-from methods.gaussian_splatting.ply import read_ply, write_ply
-from methods.interface import Edit
-from methods.shared.edits import opacity_factor, triple
-from methods.shared.files import saved_files
-from methods.shared.model import SceneModel
-from methods.shared.sealed import read_facts, write_facts
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.scene import RGB
+from econgs_bench.econgs.anchors.gaussians import Gaussians
+from econgs_bench.econgs.splat.composite import scale_depth
+from econgs_bench.econgs.splat.sh import spherical_harmonics
+from econgs_bench.methods.gaussian_splatting.ply import read_ply, write_ply
+from econgs_bench.methods.interface import Edit
+from econgs_bench.methods.shared.edits import opacity_factor, triple
+from econgs_bench.methods.shared.files import saved_files
+from econgs_bench.methods.shared.model import SceneModel
+from econgs_bench.methods.shared.sealed import read_facts, write_facts
 
 FORMAT = "econgs-bench 3dgs 1"
 SH_REST = 15  # coefficients above the DC part, degree 3

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import DataError
+from econgs_bench.datasets.errors import DataError
 
 Parts = Mapping[str, tuple[str, ...]]
 

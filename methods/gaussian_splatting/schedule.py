@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from methods.shared.schedule import Proportional
+from econgs_bench.methods.shared.schedule import Proportional
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, OptionValue, option
-from methods.shared import splatting
+from econgs_bench.methods.interface import SHARED_SOURCE, Configuration, MethodSpec, OptionValue, option
+from econgs_bench.methods.shared import splatting
 
 PUBLISHED: dict[str, OptionValue] = {
     **splatting.PUBLISHED,
@@ -95,7 +95,7 @@ SPEC = MethodSpec(
         "Field Rendering. ACM Transactions on Graphics 42(4), 2023"
     ),
     version="7",
-    implementation="methods.gaussian_splatting.method:GaussianSplatting",
+    implementation="econgs_bench.methods.gaussian_splatting.method:GaussianSplatting",
     source=SHARED_SOURCE,
     composable=True,
     edits=frozenset({"opacity"}),

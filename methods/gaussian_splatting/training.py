@@ -7,20 +7,20 @@ from collections.abc import Iterable
 
 import torch
 
-from datasets.camera import Camera
-from datasets.scene import RGB, WHITE
-from econgs.anchors.gaussians import Gaussians
-from econgs.optim import Adam
-from econgs.splat.rasterise import SplatImages, rasterise
-from econgs.splat.sh import spherical_harmonics
-from methods.gaussian_splatting.densify import GrowthRules, GrowthStatistics, capped_logits, grow
-from methods.gaussian_splatting.initialise import first_gaussians, first_points
-from methods.gaussian_splatting.model import GaussianModel, SceneGaussians, SplatModel
-from methods.gaussian_splatting.schedule import Schedule
-from methods.gaussian_splatting.spec import GaussianOptions, HarmonicsOptions
-from methods.interface import Checkpoint, Refused, SceneInput
-from methods.shared.rent import Holding
-from methods.shared.training import (
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.scene import RGB, WHITE
+from econgs_bench.econgs.anchors.gaussians import Gaussians
+from econgs_bench.econgs.optim import Adam
+from econgs_bench.econgs.splat.rasterise import SplatImages, rasterise
+from econgs_bench.econgs.splat.sh import spherical_harmonics
+from econgs_bench.methods.gaussian_splatting.densify import GrowthRules, GrowthStatistics, capped_logits, grow
+from econgs_bench.methods.gaussian_splatting.initialise import first_gaussians, first_points
+from econgs_bench.methods.gaussian_splatting.model import GaussianModel, SceneGaussians, SplatModel
+from econgs_bench.methods.gaussian_splatting.schedule import Schedule
+from econgs_bench.methods.gaussian_splatting.spec import GaussianOptions, HarmonicsOptions
+from econgs_bench.methods.interface import Checkpoint, Refused, SceneInput
+from econgs_bench.methods.shared.rent import Holding
+from econgs_bench.methods.shared.training import (
     CHECK_EVERY,
     TrainingLoop,
     TrainingState,
@@ -39,7 +39,7 @@ POSITION_DECAY = 0.01
 class HarmonicsTrainer(TrainingLoop):
     """A fit of Gaussians with spherical harmonics, without the rules that decide on their number.
 
-    Arguments: a scene, resolved options, and those of :class:`methods.shared.training.TrainingLoop`.
+    Arguments: a scene, resolved options, and those of :class:`.methods.shared.training.TrainingLoop`.
 
     Attributes:
         first_rates: learning rates of the parameters that are optimised now, as they are while growing.
@@ -169,7 +169,7 @@ class HarmonicsTrainer(TrainingLoop):
         self._forget()
 
     def _frame(self, camera: Camera, kept: torch.Tensor) -> tuple[Gaussians, torch.Tensor]:
-        """What :data:`methods.shared.rent.Frame` asks for."""
+        """What :data:`.methods.shared.rent.Frame` asks for."""
         now, rows = self.optimiser, kept.nonzero()[:, 0]
         scales, opacities = now["log_scales"].exp(), now["logits"].sigmoid()
         every = (now["means"], now["quats"], scales, opacities, self._colors(camera))
@@ -199,7 +199,7 @@ class Trainer(HarmonicsTrainer):
 
     Methods that begin as 3DGS build on it: vq-3dgs, ivr-gs.
 
-    Arguments: a scene, resolved options, and those of :class:`methods.shared.training.TrainingLoop`.
+    Arguments: a scene, resolved options, and those of :class:`.methods.shared.training.TrainingLoop`.
 
     Raises:
         Refused: no views, no initial points, or too many of them.

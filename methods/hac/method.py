@@ -1,8 +1,8 @@
 """HAC behind the interface of the harness."""
 
-from methods.hac.model import HacModel
-from methods.hac.training import Trainer
-from methods.shared.method import TrainerMethod
+from econgs_bench.methods.hac.model import HacModel
+from econgs_bench.methods.hac.training import Trainer
+from econgs_bench.methods.shared.method import TrainerMethod
 
 
 class Hac(TrainerMethod):

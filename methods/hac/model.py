@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any, ClassVar, get_args
 from urllib.parse import quote
 
-from datasets.errors import DataError
-from datasets.scene import RGB
-from econgs.context.arrays import Precision
-from econgs.context.stream import Encoded, GroupAttributes, encode_group
-from methods.scaffold_gs.model import AnchorModel, SceneAnchors, decoders_for
-from methods.shared.coding import placed, placed_anchors, stored_networks
-from methods.shared.edits import triple
-from methods.shared.files import read_streams
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.scene import RGB
+from econgs_bench.econgs.context.arrays import Precision
+from econgs_bench.econgs.context.stream import Encoded, GroupAttributes, encode_group
+from econgs_bench.methods.scaffold_gs.model import AnchorModel, SceneAnchors, decoders_for
+from econgs_bench.methods.shared.coding import placed, placed_anchors, stored_networks
+from econgs_bench.methods.shared.edits import triple
+from econgs_bench.methods.shared.files import read_streams
 
 
 class HacModel(AnchorModel):

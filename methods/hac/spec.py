@@ -3,11 +3,11 @@
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from methods.interface import Configuration, OptionValue, RateKnob, option, with_default
-from methods.scaffold_gs.spec import PUBLISHED as PLAIN_PUBLISHED
-from methods.scaffold_gs.spec import SPEC as PLAIN
-from methods.scaffold_gs.spec import AnchorOptions
-from methods.shared import splatting
+from econgs_bench.methods.interface import Configuration, OptionValue, RateKnob, option, with_default
+from econgs_bench.methods.scaffold_gs.spec import PUBLISHED as PLAIN_PUBLISHED
+from econgs_bench.methods.scaffold_gs.spec import SPEC as PLAIN
+from econgs_bench.methods.scaffold_gs.spec import AnchorOptions
+from econgs_bench.methods.shared import splatting
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ SPEC = replace(
         "Splatting Compression. ECCV 2024"
     ),
     version="7",
-    implementation="methods.hac.method:Hac",
+    implementation="econgs_bench.methods.hac.method:Hac",
     # Masks move as far as in 30,000 iterations, and decide what shows.
     presets={
         "quick": {**PLAIN.presets["quick"], "start_opacity": 0.0, "mask_lr": 0.045},

@@ -9,22 +9,22 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from datasets.camera import Camera
-from econgs.anchors.anchor_set import MASKS
-from econgs.anchors.coding import Coding, saved_grid
-from econgs.context.arrays import round_arrays
-from econgs.context.model import Attributes, ContextConfig, draw_sample
-from econgs.context.positions import PositionGrid
-from econgs.context.stream import GroupAttributes, SceneAttributes, round_group
-from methods.hac.model import HacModel
-from methods.hac.spec import HacOptions
-from methods.interface import Checkpoint
-from methods.scaffold_gs import training as scaffold_gs
-from methods.scaffold_gs.schedule import Schedule
-from methods.scaffold_gs.training import KEY, Prepared, color_decoders
-from methods.shared.anchors import Rate, hidden_units
-from methods.shared.coding import coded_context
-from methods.shared.training import TrainingState, to_numpy
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.econgs.anchors.anchor_set import MASKS
+from econgs_bench.econgs.anchors.coding import Coding, saved_grid
+from econgs_bench.econgs.context.arrays import round_arrays
+from econgs_bench.econgs.context.model import Attributes, ContextConfig, draw_sample
+from econgs_bench.econgs.context.positions import PositionGrid
+from econgs_bench.econgs.context.stream import GroupAttributes, SceneAttributes, round_group
+from econgs_bench.methods.hac.model import HacModel
+from econgs_bench.methods.hac.spec import HacOptions
+from econgs_bench.methods.interface import Checkpoint
+from econgs_bench.methods.scaffold_gs import training as scaffold_gs
+from econgs_bench.methods.scaffold_gs.schedule import Schedule
+from econgs_bench.methods.scaffold_gs.training import KEY, Prepared, color_decoders
+from econgs_bench.methods.shared.anchors import Rate, hidden_units
+from econgs_bench.methods.shared.coding import coded_context
+from econgs_bench.methods.shared.training import TrainingState, to_numpy
 
 LEAST_MASK = 0.01
 """An offset is there if the sigmoid of its mask exceeds this."""
@@ -36,7 +36,7 @@ CONTEXT_RATE: Rate = (5e-3, 1e-5)
 
 
 class Trainer(scaffold_gs.Trainer):
-    """State of a fit; see :class:`methods.scaffold_gs.training.Trainer`."""
+    """State of a fit; see :class:`.methods.scaffold_gs.training.Trainer`."""
 
     options: HacOptions
     coding: Coding

@@ -1,8 +1,8 @@
 """HAC++ behind the interface of the harness."""
 
-from methods.hac_plus.model import HacPlusModel
-from methods.hac_plus.training import Trainer
-from methods.shared.method import TrainerMethod
+from econgs_bench.methods.hac_plus.model import HacPlusModel
+from econgs_bench.methods.hac_plus.training import Trainer
+from econgs_bench.methods.shared.method import TrainerMethod
 
 
 class HacPlus(TrainerMethod):

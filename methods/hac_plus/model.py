@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from methods.hac.model import HacModel
+from econgs_bench.methods.hac.model import HacModel
 
 
 class HacPlusModel(HacModel):
-    """Scenes as their streams give them back; see :class:`methods.hac.model.HacModel`."""
+    """Scenes as their streams give them back; see :class:`.methods.hac.model.HacModel`."""
 
     method = "hac-plus"
     suffix = ".hacplus"

@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass, replace
 
-from methods.hac.spec import PUBLISHED, HacOptions
-from methods.hac.spec import SPEC as PLAIN
-from methods.interface import Configuration, option, with_default
-from methods.shared import splatting
+from econgs_bench.methods.hac.spec import PUBLISHED, HacOptions
+from econgs_bench.methods.hac.spec import SPEC as PLAIN
+from econgs_bench.methods.interface import Configuration, option, with_default
+from econgs_bench.methods.shared import splatting
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ SPEC = replace(
         "Splatting. IEEE Transactions on Pattern Analysis and Machine Intelligence, 2025"
     ),
     version="4",
-    implementation="methods.hac_plus.method:HacPlus",
+    implementation="econgs_bench.methods.hac_plus.method:HacPlus",
     options=HacPlusOptions,
     presets={**PLAIN.presets, "quick": {**PLAIN.presets["quick"], "offsets": 5}},
     configurations={

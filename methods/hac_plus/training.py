@@ -8,14 +8,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from econgs.anchors.anchor_set import MASKS
-from econgs.context.model import Attributes, ContextConfig, draw_sample
-from methods.hac import training as hac
-from methods.hac.training import LEAST_MASK
-from methods.hac_plus.model import HacPlusModel
-from methods.hac_plus.spec import HacPlusOptions
-from methods.scaffold_gs.training import Prepared
-from methods.shared.anchors import Rate
+from econgs_bench.econgs.anchors.anchor_set import MASKS
+from econgs_bench.econgs.context.model import Attributes, ContextConfig, draw_sample
+from econgs_bench.methods.hac import training as hac
+from econgs_bench.methods.hac.training import LEAST_MASK
+from econgs_bench.methods.hac_plus.model import HacPlusModel
+from econgs_bench.methods.hac_plus.spec import HacPlusOptions
+from econgs_bench.methods.scaffold_gs.training import Prepared
+from econgs_bench.methods.shared.anchors import Rate
 
 INTRA_RATE: Rate = (5e-3, 5e-4)
 LAST_MASK_RATE, MOST_LAST_MASK_RATE = 8e-5, 1.5e-3
@@ -23,7 +23,7 @@ LAST_MASK_RATE, MOST_LAST_MASK_RATE = 8e-5, 1.5e-3
 
 
 class Trainer(hac.Trainer):
-    """State of a fit; see :class:`methods.scaffold_gs.training.Trainer`."""
+    """State of a fit; see :class:`.methods.scaffold_gs.training.Trainer`."""
 
     options: HacPlusOptions
     model_class = HacPlusModel

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from datasets.camera import Camera
+from econgs_bench.datasets.camera import Camera
 
 _LEAST_ALPHA = 1e-3
 _EPS = 1e-8

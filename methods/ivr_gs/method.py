@@ -1,8 +1,8 @@
 """iVR-GS behind the interface of the harness."""
 
-from methods.ivr_gs.model import IvrModel
-from methods.ivr_gs.training import IvrTrainer
-from methods.shared.method import TrainerMethod
+from econgs_bench.methods.ivr_gs.model import IvrModel
+from econgs_bench.methods.ivr_gs.training import IvrTrainer
+from econgs_bench.methods.shared.method import TrainerMethod
 
 
 class IvrGs(TrainerMethod):

@@ -12,20 +12,26 @@ from typing import cast
 import torch
 from torch import Tensor
 
-from datasets.camera import Camera
-from datasets.scene import RGB
-from econgs.anchors.decoders import OFFSET_COLORS, OffsetColor
-from econgs.anchors.gaussians import Gaussians
-from econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, shade
-from econgs.codebooks import quantise_scalars
-from econgs.splat.composite import scale_depth
-from methods.formats.integer import CELL
-from methods.interface import Edit, Refused
-from methods.ivr_gs.spec import IvrOptions
-from methods.shared.edits import Direction, shading_edit, triple
-from methods.shared.model import SceneModel
-from methods.shared.quantised_scene import Column, QuantisedScene, half_exact, placed, read_folder
-from methods.shared.training import SceneLabel
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.scene import RGB
+from econgs_bench.econgs.anchors.decoders import OFFSET_COLORS, OffsetColor
+from econgs_bench.econgs.anchors.gaussians import Gaussians
+from econgs_bench.econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, shade
+from econgs_bench.econgs.codebooks import quantise_scalars
+from econgs_bench.econgs.splat.composite import scale_depth
+from econgs_bench.methods.formats.integer import CELL
+from econgs_bench.methods.interface import Edit, Refused
+from econgs_bench.methods.ivr_gs.spec import IvrOptions
+from econgs_bench.methods.shared.edits import Direction, shading_edit, triple
+from econgs_bench.methods.shared.model import SceneModel
+from econgs_bench.methods.shared.quantised_scene import (
+    Column,
+    QuantisedScene,
+    half_exact,
+    placed,
+    read_folder,
+)
+from econgs_bench.methods.shared.training import SceneLabel
 
 FORMAT = "econgs-bench ivr-gs 1"
 METHOD = "ivr-gs"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from methods.gaussian_splatting.schedule import Schedule
+from econgs_bench.methods.gaussian_splatting.schedule import Schedule
 
 SHADED = 30_000
 

@@ -3,13 +3,13 @@
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from methods.gaussian_splatting.spec import PUBLISHED as PLAIN_PUBLISHED
-from methods.gaussian_splatting.spec import QUICK, GaussianOptions
-from methods.gaussian_splatting.spec import SPEC as PLAIN
-from methods.gaussian_splatting.spec import TUNED as PLAIN_TUNED
-from methods.interface import Configuration, OptionValue, RateKnob, option
-from methods.shared import splatting
-from methods.shared.schedule import Decay
+from econgs_bench.methods.gaussian_splatting.spec import PUBLISHED as PLAIN_PUBLISHED
+from econgs_bench.methods.gaussian_splatting.spec import QUICK, GaussianOptions
+from econgs_bench.methods.gaussian_splatting.spec import SPEC as PLAIN
+from econgs_bench.methods.gaussian_splatting.spec import TUNED as PLAIN_TUNED
+from econgs_bench.methods.interface import Configuration, OptionValue, RateKnob, option
+from econgs_bench.methods.shared import splatting
+from econgs_bench.methods.shared.schedule import Decay
 
 PUBLISHED: dict[str, OptionValue] = {
     **PLAIN_PUBLISHED,
@@ -85,7 +85,7 @@ SPEC = replace(
         "Editable 3D Gaussian Splatting. IEEE Transactions on Visualization and Computer Graphics 31(6), 2025"
     ),
     version="9",
-    implementation="methods.ivr_gs.method:IvrGs",
+    implementation="econgs_bench.methods.ivr_gs.method:IvrGs",
     edits=frozenset({"palette", "opacity", "light", "shading"}),
     uses_alpha=(
         "views are composited on the training background; alpha is also a target of its own, as a mask; the "

@@ -9,18 +9,18 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from datasets.camera import Camera
-from datasets.scene import RGB, WHITE
-from econgs.anchors.decoders import OffsetColor
-from econgs.anchors.shading import MIN_NORMAL, Factors, raw_specular
-from econgs.losses import ssim
-from econgs.optim import Adam
-from econgs.splat.composite import MIN_ALPHA
-from econgs.splat.rasterise import SplatImages
-from methods.gaussian_splatting.training import LEARNING_RATES, Trainer
-from methods.interface import Checkpoint, SceneInput
-from methods.ivr_gs.losses import mean_over, normal_loss, smoothness_loss
-from methods.ivr_gs.model import (
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.scene import RGB, WHITE
+from econgs_bench.econgs.anchors.decoders import OffsetColor
+from econgs_bench.econgs.anchors.shading import MIN_NORMAL, Factors, raw_specular
+from econgs_bench.econgs.losses import ssim
+from econgs_bench.econgs.optim import Adam
+from econgs_bench.econgs.splat.composite import MIN_ALPHA
+from econgs_bench.econgs.splat.rasterise import SplatImages
+from econgs_bench.methods.gaussian_splatting.training import LEARNING_RATES, Trainer
+from econgs_bench.methods.interface import Checkpoint, SceneInput
+from econgs_bench.methods.ivr_gs.losses import mean_over, normal_loss, smoothness_loss
+from econgs_bench.methods.ivr_gs.model import (
     IvrModel,
     ShadedGaussians,
     Stored,
@@ -28,10 +28,10 @@ from methods.ivr_gs.model import (
     attributes_with_codebooks,
     ready,
 )
-from methods.ivr_gs.schedule import IvrSchedule
-from methods.ivr_gs.spec import IvrOptions
-from methods.shared.rent import Frame, Scene
-from methods.shared.training import SceneLabel, TrainingState
+from econgs_bench.methods.ivr_gs.schedule import IvrSchedule
+from econgs_bench.methods.ivr_gs.spec import IvrOptions
+from econgs_bench.methods.shared.rent import Frame, Scene
+from econgs_bench.methods.shared.training import SceneLabel, TrainingState
 
 GEOMETRY = ("means", "log_scales", "quats", "logits", "normals")
 SHADING = ("offset_color", "ambient", "diffuse", "specular", "shininess")

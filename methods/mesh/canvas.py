@@ -1,6 +1,6 @@
 """Drawing of meshes by VTK, off screen through EGL, with the shading of the ground truth.
 
-VTK's own lights cannot be set to that shading (:mod:`datasets.ground_truth.model`: absolute cosines, clamped
+VTK's own lights cannot be set to that shading (:mod:`.datasets.ground_truth.model`: absolute cosines, clamped
 color, premultiplied alpha), so the part of its fragment shader that computes them is replaced. Pixels are
 not antialiased, as in the ground truth; the picture is float32. Translucent surfaces are drawn by dual depth
 peeling, exact in order, whose textures have 8 bits a channel.
@@ -24,10 +24,10 @@ from vtkmodules.vtkCommonMath import vtkMatrix4x4
 from vtkmodules.vtkRenderingCore import vtkActor, vtkLight, vtkPolyDataMapper, vtkRenderer
 from vtkmodules.vtkRenderingOpenGL2 import vtkEGLRenderWindow
 
-from datasets.camera import Camera
-from datasets.scene import RGB, Light
-from methods.interface import Refused
-from methods.mesh.geometry import Mesh
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.scene import RGB, Light
+from econgs_bench.methods.interface import Refused
+from econgs_bench.methods.mesh.geometry import Mesh
 
 _MOST_PEELS = 1000
 _UNSHADED = Light(ambient=1.0, diffuse=0.0, specular=0.0)

@@ -14,10 +14,10 @@ from vtkmodules.vtkCommonCore import vtkSMPTools
 from vtkmodules.vtkCommonDataModel import vtkImageData, vtkPolyData
 from vtkmodules.vtkFiltersCore import vtkClipPolyData, vtkFlyingEdges3D, vtkTriangleFilter
 
-from datasets.ground_truth.model import LEVEL_MARGIN, index_transform
-from datasets.scene import Isosurface
-from datasets.volume import Volume
-from methods.interface import Refused
+from econgs_bench.datasets.ground_truth.model import LEVEL_MARGIN, index_transform
+from econgs_bench.datasets.scene import Isosurface
+from econgs_bench.datasets.volume import Volume
+from econgs_bench.methods.interface import Refused
 
 INSTALL = "install it by: pip install 'econgs-bench[rivals]'"
 _LEAST_SLOPE = 1e-6  # normalised values per voxel; flatter places have no distance

@@ -10,11 +10,11 @@ from typing import Any
 
 import torch
 
-from datasets.scene import BasicScene, Isosurface, Light
-from methods.interface import Budget, Checkpoint, Model, Monitor, Refused, SceneInput
-from methods.mesh.geometry import Mesh, distance, extracted, level_of
-from methods.mesh.model import MeshModel, MeshScene, Sizes
-from methods.mesh.spec import MeshOptions
+from econgs_bench.datasets.scene import BasicScene, Isosurface, Light
+from econgs_bench.methods.interface import Budget, Checkpoint, Model, Monitor, Refused, SceneInput
+from econgs_bench.methods.mesh.geometry import Mesh, distance, extracted, level_of
+from econgs_bench.methods.mesh.model import MeshModel, MeshScene, Sizes
+from econgs_bench.methods.mesh.spec import MeshOptions
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class _Extraction:
 
 
 class MeshMethod:
-    """A :class:`methods.interface.Method` of triangle meshes; each scene is a group of its own."""
+    """A :class:`.methods.interface.Method` of triangle meshes; each scene is a group of its own."""
 
     def partition(self, scenes: Sequence[SceneInput], options: MeshOptions) -> list[list[SceneInput]]:
         """One group per scene."""
@@ -86,7 +86,7 @@ class MeshMethod:
         monitor: Monitor,
         resume: Checkpoint | None = None,
     ) -> MeshModel:
-        """Extract, decimate and encode, all in the first iteration; see :class:`methods.interface.Method`.
+        """Extract, decimate and encode, all in the first iteration; see :class:`.methods.interface.Method`.
 
         The loss is the mean distance of the stored triangles from their level sets, in voxels. Chance has no
         part in it, and further iterations change nothing.

@@ -10,17 +10,17 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from datasets.camera import Camera
-from datasets.edits import edited
-from datasets.errors import DataError
-from datasets.scene import RGB, BasicScene
-from methods.interface import Edit, Refused
-from methods.mesh.canvas import Drawn, Sheet, canvas
-from methods.mesh.geometry import Mesh, decimated
-from methods.mesh.spec import Coding
-from methods.mesh.storage import decoded, encoded, read_folder, write_scene
-from methods.shared.decoders import own_streams
-from methods.shared.model import NamedScenes, seconds
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.edits import edited
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.scene import RGB, BasicScene
+from econgs_bench.methods.interface import Edit, Refused
+from econgs_bench.methods.mesh.canvas import Drawn, Sheet, canvas
+from econgs_bench.methods.mesh.geometry import Mesh, decimated
+from econgs_bench.methods.mesh.spec import Coding
+from econgs_bench.methods.mesh.storage import decoded, encoded, read_folder, write_scene
+from econgs_bench.methods.shared.decoders import own_streams
+from econgs_bench.methods.shared.model import NamedScenes, seconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,10 +119,10 @@ class MeshScene:
 
 
 class MeshModel(NamedScenes[MeshScene]):
-    """A :class:`methods.interface.Model` of isosurfaces, drawn together in their order along each ray."""
+    """A :class:`.methods.interface.Model` of isosurfaces, drawn together in their order along each ray."""
 
     def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
-        """Write every file; see :class:`methods.interface.Model`.
+        """Write every file; see :class:`.methods.interface.Model`.
 
         Args:
             folder: where to.

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, RateKnob, option
+from econgs_bench.methods.interface import SHARED_SOURCE, Configuration, MethodSpec, RateKnob, option
 
 Coding = Literal["draco", "ply"]
 
@@ -28,7 +28,7 @@ SPEC = MethodSpec(
         "P. S. Heckbert: Surface Simplification Using Quadric Error Metrics. SIGGRAPH, 1997"
     ),
     version="1",
-    implementation="methods.mesh.method:MeshMethod",
+    implementation="econgs_bench.methods.mesh.method:MeshMethod",
     source=SHARED_SOURCE,
     composable=True,
     point_sampled=True,

@@ -14,15 +14,15 @@ from urllib.parse import quote
 
 import numpy as np
 
-from datasets.bounded import json_of
-from datasets.errors import DataError
-from datasets.scene import BasicScene, Isosurface, Light
-from methods.interface import Refused
-from methods.mesh.geometry import INSTALL, Mesh
-from methods.mesh.spec import Coding
-from methods.shared.decoders import decoded as decode
-from methods.shared.edits import triple
-from methods.shared.files import saved_files
+from econgs_bench.datasets.bounded import json_of
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.scene import BasicScene, Isosurface, Light
+from econgs_bench.methods.interface import Refused
+from econgs_bench.methods.mesh.geometry import INSTALL, Mesh
+from econgs_bench.methods.mesh.spec import Coding
+from econgs_bench.methods.shared.decoders import decoded as decode
+from econgs_bench.methods.shared.edits import triple
+from econgs_bench.methods.shared.files import saved_files
 
 FORMAT = "econgs-bench mesh 1"
 SUFFIX = ".json"

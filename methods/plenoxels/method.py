@@ -1,8 +1,8 @@
 """Plenoxels behind the interface of the harness."""
 
-from methods.plenoxels.model import VoxelModel
-from methods.plenoxels.training import Trainer
-from methods.shared.method import TrainerMethod
+from econgs_bench.methods.plenoxels.model import VoxelModel
+from econgs_bench.methods.plenoxels.training import Trainer
+from econgs_bench.methods.shared.method import TrainerMethod
 
 
 class Plenoxels(TrainerMethod):

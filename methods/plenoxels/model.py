@@ -18,18 +18,18 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from datasets.bounded import array_of, json_of
-from datasets.camera import Camera
-from datasets.errors import DataError
-from datasets.scene import RGB
-from econgs.rays import camera_rays
-from econgs.voxels import SH, VoxelGrid, Voxels, bricks_of, drawn
-from methods.interface import Refused
-from methods.plenoxels.spec import DEFLATE
-from methods.shared.edits import triple
-from methods.shared.fields import FieldModel
-from methods.shared.files import saved_files
-from methods.shared.model import seconds
+from econgs_bench.datasets.bounded import array_of, json_of
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.scene import RGB
+from econgs_bench.econgs.rays import camera_rays
+from econgs_bench.econgs.voxels import SH, VoxelGrid, Voxels, bricks_of, drawn
+from econgs_bench.methods.interface import Refused
+from econgs_bench.methods.plenoxels.spec import DEFLATE
+from econgs_bench.methods.shared.edits import triple
+from econgs_bench.methods.shared.fields import FieldModel
+from econgs_bench.methods.shared.files import saved_files
+from econgs_bench.methods.shared.model import seconds
 
 FORMAT = "econgs-bench plenoxels 1"
 PER_VOXEL = 4 + 2 * SH

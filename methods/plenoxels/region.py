@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from datasets.camera import looked_at
-from econgs.voxels import VoxelGrid, Voxels, bricks_of, lattice, links_of, occupied
-from methods.interface import SceneInput
+from econgs_bench.datasets.camera import looked_at
+from econgs_bench.econgs.voxels import VoxelGrid, Voxels, bricks_of, lattice, links_of, occupied
+from econgs_bench.methods.interface import SceneInput
 
 CELLS = 64
 """Cells along the cube in which a hull is looked for first."""

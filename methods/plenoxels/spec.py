@@ -3,7 +3,14 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, OptionValue, RateKnob, option
+from econgs_bench.methods.interface import (
+    SHARED_SOURCE,
+    Configuration,
+    MethodSpec,
+    OptionValue,
+    RateKnob,
+    option,
+)
 
 DEFLATE = "deflate"
 PUBLISHED: dict[str, OptionValue] = {
@@ -62,7 +69,7 @@ SPEC = MethodSpec(
         "without Neural Networks. CVPR 2022"
     ),
     version="1",
-    implementation="methods.plenoxels.method:Plenoxels",
+    implementation="econgs_bench.methods.plenoxels.method:Plenoxels",
     source=SHARED_SOURCE,
     composable=True,
     point_sampled=True,

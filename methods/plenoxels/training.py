@@ -9,9 +9,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from datasets.scene import RGB
-from econgs.rays import PixelRays, camera_rays
-from econgs.voxels import (
+from econgs_bench.datasets.scene import RGB
+from econgs_bench.econgs.rays import PixelRays, camera_rays
+from econgs_bench.econgs.voxels import (
     SH,
     VoxelGrid,
     Voxels,
@@ -21,12 +21,12 @@ from econgs.voxels import (
     variation,
     voxel_weights,
 )
-from methods.interface import Checkpoint, Diverged, SceneInput
-from methods.plenoxels.model import VoxelModel, VoxelScene
-from methods.plenoxels.region import Hull, first_grid
-from methods.plenoxels.schedule import Schedule
-from methods.plenoxels.spec import PlenoxelsOptions
-from methods.shared.training import CHECK_EVERY, TrainingLoop, TrainingState, are_transparent
+from econgs_bench.methods.interface import Checkpoint, Diverged, SceneInput
+from econgs_bench.methods.plenoxels.model import VoxelModel, VoxelScene
+from econgs_bench.methods.plenoxels.region import Hull, first_grid
+from econgs_bench.methods.plenoxels.schedule import Schedule
+from econgs_bench.methods.plenoxels.spec import PlenoxelsOptions
+from econgs_bench.methods.shared.training import CHECK_EVERY, TrainingLoop, TrainingState, are_transparent
 
 FIRST_DENSITY = 0.1
 BETA = 0.95
@@ -60,7 +60,7 @@ class Optimiser:
 class Trainer(TrainingLoop):
     """State of a fit: the grid, the optimiser, the random state.
 
-    Arguments: a scene, resolved options, and those of :class:`methods.shared.training.TrainingLoop`.
+    Arguments: a scene, resolved options, and those of :class:`.methods.shared.training.TrainingLoop`.
 
     Raises:
         Refused: no views.

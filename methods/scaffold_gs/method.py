@@ -1,8 +1,8 @@
 """Scaffold-GS behind the interface of the harness."""
 
-from methods.scaffold_gs.model import ScaffoldModel
-from methods.scaffold_gs.training import Trainer
-from methods.shared.method import TrainerMethod
+from econgs_bench.methods.scaffold_gs.model import ScaffoldModel
+from econgs_bench.methods.scaffold_gs.training import Trainer
+from econgs_bench.methods.shared.method import TrainerMethod
 
 
 class ScaffoldGS(TrainerMethod):

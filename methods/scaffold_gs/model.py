@@ -14,20 +14,20 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from torch import Tensor
 
-from datasets.camera import Camera
-from datasets.errors import DataError
-from datasets.scene import RGB
-from econgs.anchors.decode import visible_anchors
-from econgs.anchors.direct import ColorDecoders, decode_colors
-from econgs.anchors.gaussians import Gaussians, apply_masks
-from econgs.context.model import Attributes
-from methods.gaussian_splatting.ply import Parts, properties, read_ply, write_ply
-from methods.interface import Decoding, Edit
-from methods.shared.coding import LARGEST
-from methods.shared.edits import opacity_factor, triple
-from methods.shared.files import saved_files
-from methods.shared.model import SceneModel
-from methods.shared.sealed import read_tensors, write_tensors
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.scene import RGB
+from econgs_bench.econgs.anchors.decode import visible_anchors
+from econgs_bench.econgs.anchors.direct import ColorDecoders, decode_colors
+from econgs_bench.econgs.anchors.gaussians import Gaussians, apply_masks
+from econgs_bench.econgs.context.model import Attributes
+from econgs_bench.methods.gaussian_splatting.ply import Parts, properties, read_ply, write_ply
+from econgs_bench.methods.interface import Decoding, Edit
+from econgs_bench.methods.shared.coding import LARGEST
+from econgs_bench.methods.shared.edits import opacity_factor, triple
+from econgs_bench.methods.shared.files import saved_files
+from econgs_bench.methods.shared.model import SceneModel
+from econgs_bench.methods.shared.sealed import read_tensors, write_tensors
 
 FORMAT = "econgs-bench scaffold-gs 1"
 Storage = Literal["read", "released"]
@@ -64,7 +64,7 @@ class AnchorModel(SceneModel[SceneAnchors]):
     """Scenes of anchors, decoded for each view."""
 
     def decoding(self, scenes: Sequence[str]) -> Decoding:
-        """For each frame; see :class:`methods.interface.HasDecoders`."""
+        """For each frame; see :class:`.methods.interface.HasDecoders`."""
         return "per frame"
 
     def decoding_each_frame(self) -> Self:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from methods.shared.schedule import AnchorSchedule
+from econgs_bench.methods.shared.schedule import AnchorSchedule
 
 
 class Schedule(AnchorSchedule):

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, OptionValue, option
-from methods.shared import splatting
+from econgs_bench.methods.interface import SHARED_SOURCE, Configuration, MethodSpec, OptionValue, option
+from econgs_bench.methods.shared import splatting
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ SPEC = MethodSpec(
         "View-Adaptive Rendering. CVPR 2024"
     ),
     version="7",
-    implementation="methods.scaffold_gs.method:ScaffoldGS",
+    implementation="econgs_bench.methods.scaffold_gs.method:ScaffoldGS",
     source=SHARED_SOURCE,
     composable=True,
     edits=frozenset({"opacity"}),

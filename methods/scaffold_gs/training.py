@@ -11,23 +11,29 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from datasets.camera import Camera
-from econgs.anchors.anchor_set import AnchorSet
-from econgs.anchors.decode import visible_anchors
-from econgs.anchors.direct import NETWORKS, ColorDecoders, decode_colors
-from econgs.anchors.gaussians import Gaussians, apply_masks
-from econgs.anchors.growing import AnchorRules
-from econgs.context.model import Attributes
-from econgs.optim import Adam
-from econgs.points import median_neighbour_distance
-from methods.interface import Model, Refused, SceneInput
-from methods.scaffold_gs.model import ScaffoldModel, StoredScene
-from methods.scaffold_gs.schedule import Schedule
-from methods.scaffold_gs.spec import AnchorOptions, ScaffoldOptions
-from methods.shared.anchors import AnchorLoop, Rate, start_cloud
-from methods.shared.rent import Holding
-from methods.shared.start import thinned
-from methods.shared.training import CHECK_EVERY, TrainingState, are_transparent, to_numpy, training_images
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.econgs.anchors.anchor_set import AnchorSet
+from econgs_bench.econgs.anchors.decode import visible_anchors
+from econgs_bench.econgs.anchors.direct import NETWORKS, ColorDecoders, decode_colors
+from econgs_bench.econgs.anchors.gaussians import Gaussians, apply_masks
+from econgs_bench.econgs.anchors.growing import AnchorRules
+from econgs_bench.econgs.context.model import Attributes
+from econgs_bench.econgs.optim import Adam
+from econgs_bench.econgs.points import median_neighbour_distance
+from econgs_bench.methods.interface import Model, Refused, SceneInput
+from econgs_bench.methods.scaffold_gs.model import ScaffoldModel, StoredScene
+from econgs_bench.methods.scaffold_gs.schedule import Schedule
+from econgs_bench.methods.scaffold_gs.spec import AnchorOptions, ScaffoldOptions
+from econgs_bench.methods.shared.anchors import AnchorLoop, Rate, start_cloud
+from econgs_bench.methods.shared.rent import Holding
+from econgs_bench.methods.shared.start import thinned
+from econgs_bench.methods.shared.training import (
+    CHECK_EVERY,
+    TrainingState,
+    are_transparent,
+    to_numpy,
+    training_images,
+)
 
 _MOST_OPACITY = 1.0 - 1e-6
 """Of what is inverted: float32 has hidden Gaussians of -1, whose inverse is infinite."""
@@ -58,7 +64,7 @@ class Prepared:
 class Trainer(AnchorLoop):
     """State of a fit: anchors, networks, optimiser, order of views, random state.
 
-    Arguments: a scene, resolved options, and those of :class:`methods.shared.training.TrainingLoop`.
+    Arguments: a scene, resolved options, and those of :class:`.methods.shared.training.TrainingLoop`.
 
     Raises:
         Refused: no views, no points to start from, or more than ``max_anchors``.
@@ -170,7 +176,7 @@ class Trainer(AnchorLoop):
     def _revive(self, truth: Tensor) -> None:
         """Show half of the offsets again where all have vanished, though the view's alpha has not.
 
-        A part of the loss of alpha's rescue (:data:`econgs.losses.RESCUE`): while features are nearly zero,
+        A part of the loss of alpha's rescue (:data:`.econgs.losses.RESCUE`): while features are nearly zero,
         all anchors hide together, and what is hidden gets no gradient.
         """
         wanted = self.options.alpha_weight and self.transparent and bool((truth[..., 3] > 0).any())
@@ -286,7 +292,7 @@ class Trainer(AnchorLoop):
         yield Holding(self.count, [scene], partial(self.anchors.keep, self.optimiser))
 
     def _frame(self, camera: Camera, kept: Tensor) -> tuple[Gaussians, Tensor]:
-        """What :data:`methods.shared.rent.Frame` asks for."""
+        """What :data:`.methods.shared.rent.Frame` asks for."""
         values = self.attributes(self.anchors)
         rows = (kept & self.visible(values, camera)).nonzero()[:, 0]
         positions = self.anchors.positions.index_select(0, rows)

@@ -7,17 +7,17 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from datasets.camera import Camera
-from datasets.cloud import PointCloud, random_cloud
-from econgs.anchors.anchor_set import PARAMETERS, AnchorSet
-from econgs.anchors.coding import Coding
-from econgs.anchors.gaussians import ViewGaussians, draw
-from econgs.anchors.growing import AnchorRules
-from econgs.context.model import Attributes
-from econgs.splat.rasterise import SplatImages
-from methods.interface import Checkpoint, Refused, SceneInput
-from methods.shared.schedule import AnchorSchedule
-from methods.shared.training import TrainingLoop, under
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.cloud import PointCloud, random_cloud
+from econgs_bench.econgs.anchors.anchor_set import PARAMETERS, AnchorSet
+from econgs_bench.econgs.anchors.coding import Coding
+from econgs_bench.econgs.anchors.gaussians import ViewGaussians, draw
+from econgs_bench.econgs.anchors.growing import AnchorRules
+from econgs_bench.econgs.context.model import Attributes
+from econgs_bench.econgs.splat.rasterise import SplatImages
+from econgs_bench.methods.interface import Checkpoint, Refused, SceneInput
+from econgs_bench.methods.shared.schedule import AnchorSchedule
+from econgs_bench.methods.shared.training import TrainingLoop, under
 
 Rate = tuple[float, float]
 """First and last learning rate; the option ``decay`` says how it goes from one to the other."""

@@ -9,9 +9,9 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
-from econgs.context.model import Attributes, ContextConfig, ContextModel
-from econgs.context.stream import CodedContext, GroupAttributes, SceneAttributes
-from methods.shared.training import TrainingState
+from econgs_bench.econgs.context.model import Attributes, ContextConfig, ContextModel
+from econgs_bench.econgs.context.stream import CodedContext, GroupAttributes, SceneAttributes
+from econgs_bench.methods.shared.training import TrainingState
 
 N = TypeVar("N", bound=nn.Module)
 LARGEST = 1e6

@@ -2,8 +2,8 @@
 
 A damaged or hostile stream can make such a library read beyond its memory, allocate without bound or never
 end. So its header is compared with what the file around it says before the library gets it, and the library
-runs in a process of its own. A worker of a run (:mod:`bench.worker`) is such a process already and decodes in
-itself, so that the times of loading that are measured are those of the codec.
+runs in a process of its own. A worker of a run (:mod:`.bench.worker`) is such a process already and decodes
+in itself, so that the times of loading that are measured are those of the codec.
 
 A decoder takes the bytes and returns arrays by name, so that it can run in either place.
 """
@@ -23,9 +23,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.bounded import gunzipped, room
-from datasets.errors import DataError
-from methods.interface import Refused
+from econgs_bench.datasets.bounded import gunzipped, room
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.methods.interface import Refused
 
 Arrays = dict[str, NDArray[Any]]
 _MISSING = "{} needs the package {}: pip install 'econgs-bench[rivals]'"
@@ -72,7 +72,7 @@ def decoded(codec: str, data: bytes, **arguments: Any) -> Arrays:
             raise
         except Exception as error:  # libraries raise what they like for damaged data
             raise ValueError(f"its stream is damaged ({type(error).__name__}: {error})") from error
-    from datasets.readers.sandbox import Sandbox
+    from econgs_bench.datasets.readers.sandbox import Sandbox
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "stream")

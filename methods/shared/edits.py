@@ -8,9 +8,9 @@ from collections.abc import Iterable
 import numpy as np
 import torch
 
-from datasets.edits import changes_transfer
-from econgs.anchors.shading import Factors
-from methods.interface import Edit, Refused
+from econgs_bench.datasets.edits import changes_transfer
+from econgs_bench.econgs.anchors.shading import Factors
+from econgs_bench.methods.interface import Edit, Refused
 
 Direction = tuple[float, float, float]
 

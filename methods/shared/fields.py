@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 
 from torch import Tensor
 
-from datasets.camera import Camera
-from methods.interface import Edit
-from methods.shared.edits import opacity_factor
-from methods.shared.model import S, SceneSet
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.methods.interface import Edit
+from econgs_bench.methods.shared.edits import opacity_factor
+from econgs_bench.methods.shared.model import S, SceneSet
 
 
 class FieldModel(SceneSet[S]):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from datasets.errors import DataError
-from econgs.context.stream import GroupAttributes, decode_group
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.econgs.context.stream import GroupAttributes, decode_group
 
 
 def saved_files(folder: Path, suffix: str, method: str) -> list[Path]:

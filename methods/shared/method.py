@@ -6,15 +6,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
-from methods.interface import Budget, Checkpoint, Model, Monitor, Refused, SceneInput
-from methods.shared.model import SceneSet
-from methods.shared.rendering import Rendering
-from methods.shared.training import TrainingLoop, TrainingState, low_pass_of
-from methods.shared.units import in_units, units_of
+from econgs_bench.methods.interface import Budget, Checkpoint, Model, Monitor, Refused, SceneInput
+from econgs_bench.methods.shared.model import SceneSet
+from econgs_bench.methods.shared.rendering import Rendering
+from econgs_bench.methods.shared.training import TrainingLoop, TrainingState, low_pass_of
+from econgs_bench.methods.shared.units import in_units, units_of
 
 
 class TrainerMethod:
-    """A :class:`methods.interface.Method` whose groups are single scenes, unless it is joint.
+    """A :class:`.methods.interface.Method` whose groups are single scenes, unless it is joint.
 
     Attributes:
         name: the method's name, for messages.
@@ -43,7 +43,7 @@ class TrainerMethod:
         monitor: Monitor,
         resume: Checkpoint | None = None,
     ) -> Any:
-        """Train one group, in units that suit its extent; see :class:`methods.interface.Method`."""
+        """Train one group, in units that suit its extent; see :class:`.methods.interface.Method`."""
         units = units_of(group)
         group = [in_units(scene, 1.0 / units) for scene in group]
         if len(group) != 1 and not self.joint:

@@ -11,15 +11,15 @@ from typing import Any, ClassVar, Generic, Literal, Protocol, TypeVar
 import torch
 from torch import Tensor
 
-from datasets.camera import Camera
-from datasets.names import unknown
-from datasets.scene import RGB
-from datasets.units import camera_in_units
-from econgs.anchors.gaussians import Gaussians, draw
-from econgs.splat.composite import over
-from econgs.splat.splats import Splats
-from methods.interface import Edit, Refused, edits_by_scene
-from methods.shared.rendering import Rendering
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.names import unknown
+from econgs_bench.datasets.scene import RGB
+from econgs_bench.datasets.units import camera_in_units
+from econgs_bench.econgs.anchors.gaussians import Gaussians, draw
+from econgs_bench.econgs.splat.composite import over
+from econgs_bench.econgs.splat.splats import Splats
+from econgs_bench.methods.interface import Edit, Refused, edits_by_scene
+from econgs_bench.methods.shared.rendering import Rendering
 
 
 class Scene(Protocol):
@@ -38,7 +38,7 @@ S = TypeVar("S", bound=Scene)
 
 
 class NamedScenes(Generic[S], ABC):
-    """The part of a :class:`methods.interface.Model` that knows its scenes by name and composites pictures.
+    """The part of a :class:`.methods.interface.Model` that knows its scenes by name and composites pictures.
 
     Args:
         scenes: at least one, with distinct names, on one device.
@@ -98,7 +98,7 @@ class NamedScenes(Generic[S], ABC):
         edit: Mapping[str, Edit] | None = None,
         background: RGB | None = None,
     ) -> tuple[Tensor, Tensor]:
-        """Render scenes together; see :class:`methods.interface.Model`."""
+        """Render scenes together; see :class:`.methods.interface.Model`."""
         subset = self.chosen(scenes)
         back = subset[0].background if background is None else background
         edits = edits_by_scene(edit, [scene.name for scene in subset])
@@ -108,7 +108,7 @@ class NamedScenes(Generic[S], ABC):
 
 
 class SceneSet(NamedScenes[S]):
-    """A :class:`methods.interface.Model` of scenes, whatever they are made of.
+    """A :class:`.methods.interface.Model` of scenes, whatever they are made of.
 
     A method's model adds ``picture``, ``timings``, ``write`` (or ``write_size``, if it has several) and
     ``load``.
@@ -132,7 +132,7 @@ class SceneSet(NamedScenes[S]):
         """Seconds of one frame of scenes (default: all) by part."""
 
     def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
-        """Write every file; see :class:`methods.interface.Model`.
+        """Write every file; see :class:`.methods.interface.Model`.
 
         Raises:
             Refused: the model has no size of that ``rate``.
@@ -203,7 +203,7 @@ class SceneModel(SceneSet[S]):
         return splats.features, splats.alpha
 
     def splats(self, scene: str, camera: Camera) -> tuple[Splats, Tensor]:
-        """What is splatted of a scene; see :class:`methods.interface.HasGaussians`."""
+        """What is splatted of a scene; see :class:`.methods.interface.HasGaussians`."""
         camera = self._in_units(camera)
         own = self.gaussians(self.scene(scene), camera, Edit())
         fields = (own.means, own.quats, own.scales, own.opacities, own.colors)

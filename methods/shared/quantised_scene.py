@@ -18,13 +18,18 @@ import torch
 from safetensors import SafetensorError
 from torch import Tensor
 
-from datasets.errors import DataError
-from datasets.scene import RGB
-from econgs.codebooks import Codebook, code_ids, decode_ids, decoded, pack_ids, unpack_ids
-from econgs.context.positions import PositionGrid, decode_positions, encode_positions, morton_order
-from methods.shared.edits import triple
-from methods.shared.files import saved_files
-from methods.shared.sealed import read_tensors, write_tensors
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.scene import RGB
+from econgs_bench.econgs.codebooks import Codebook, code_ids, decode_ids, decoded, pack_ids, unpack_ids
+from econgs_bench.econgs.context.positions import (
+    PositionGrid,
+    decode_positions,
+    encode_positions,
+    morton_order,
+)
+from econgs_bench.methods.shared.edits import triple
+from econgs_bench.methods.shared.files import saved_files
+from econgs_bench.methods.shared.sealed import read_tensors, write_tensors
 
 SUFFIX = ".safetensors"
 R = TypeVar("R")

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from datasets.errors import DataError
-from econgs.splat import LINEAGE, LowPass
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.econgs.splat import LINEAGE, LowPass
 
 FILE = "rendering.toml"
 _CHECK = b"\ncrc32="
@@ -22,7 +22,7 @@ class Rendering:
     """How Gaussians are drawn.
 
     Attributes:
-        units: scene units / units of the Gaussians (:mod:`methods.shared.units`).
+        units: scene units / units of the Gaussians (:mod:`.methods.shared.units`).
         low_pass: filters of the Gaussians.
     """
 

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from datasets.camera import Camera
-from datasets.views import ViewSet
-from econgs.anchors.gaussians import Gaussians, draw
-from econgs.splat import LowPass
-from econgs.splat.composite import over
-from econgs.splat.splats import Splats
-from econgs.splat.weights import blending_weights
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.views import ViewSet
+from econgs_bench.econgs.anchors.gaussians import Gaussians, draw
+from econgs_bench.econgs.splat import LowPass
+from econgs_bench.econgs.splat.composite import over
+from econgs_bench.econgs.splat.splats import Splats
+from econgs_bench.econgs.splat.weights import blending_weights
 
 VIEWS = 12
 """Training views of a scene that are asked, at most."""

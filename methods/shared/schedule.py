@@ -62,7 +62,7 @@ class Proportional:
         return self.growth_stop
 
     def settles_rent(self, iteration: int) -> bool:
-        """Whether primitives that add nothing go before this iteration (:mod:`methods.shared.rent`).
+        """Whether primitives that add nothing go before this iteration (:mod:`.methods.shared.rent`).
 
         Once growth has ended, and half-way from there to the end.
         """

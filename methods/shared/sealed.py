@@ -16,7 +16,7 @@ from safetensors import safe_open
 from safetensors.torch import save as to_safetensors
 from torch import Tensor
 
-from datasets.bounded import json_of
+from econgs_bench.datasets.bounded import json_of
 
 _SUM = "crc32"
 _FACTS = "model"

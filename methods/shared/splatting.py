@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from methods.interface import OptionValue, option
-from methods.shared.schedule import Decay
+from econgs_bench.methods.interface import OptionValue, option
+from econgs_bench.methods.shared.schedule import Decay
 
 
 @dataclass(frozen=True)

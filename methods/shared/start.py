@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera import Camera
+from econgs_bench.datasets.camera import Camera
 
 _SHRINK = 0.8
 """Factor on the side of a cell while too few points are left."""

@@ -14,16 +14,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from datasets.camera import pixel_size
-from datasets.scene import RGB, WHITE
-from econgs.losses import view_losses
-from econgs.optim import Adam
-from econgs.splat import LINEAGE, LowPass, trusted_values
-from methods.interface import Checkpoint, Diverged, Monitor, Refused, SceneInput
-from methods.shared.edits import Direction
-from methods.shared.rendering import Rendering
-from methods.shared.rent import Frame, Holding, Scene, worth_keeping
-from methods.shared.splatting import SplattingOptions
+from econgs_bench.datasets.camera import pixel_size
+from econgs_bench.datasets.scene import RGB, WHITE
+from econgs_bench.econgs.losses import view_losses
+from econgs_bench.econgs.optim import Adam
+from econgs_bench.econgs.splat import LINEAGE, LowPass, trusted_values
+from econgs_bench.methods.interface import Checkpoint, Diverged, Monitor, Refused, SceneInput
+from econgs_bench.methods.shared.edits import Direction
+from econgs_bench.methods.shared.rendering import Rendering
+from econgs_bench.methods.shared.rent import Frame, Holding, Scene, worth_keeping
+from econgs_bench.methods.shared.splatting import SplattingOptions
 
 CHECK_EVERY = 100
 """Iterations between looks at whether parameters are finite."""
@@ -107,7 +107,7 @@ class TrainingLoop(ABC):
         pending: views not yet drawn in this round.
         limited: growth has met its limit.
         look_every: iterations between two reports of losses.
-        units: scene units / units of the fit (:mod:`methods.shared.units`).
+        units: scene units / units of the fit (:mod:`.methods.shared.units`).
         pixel: size of a pixel of the training views at their mean distance, in units of the fit.
 
     Raises:

@@ -10,8 +10,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from datasets.units import cloud_in_units, scene_in_units, views_in_units
-from methods.interface import SceneInput
+from econgs_bench.datasets.units import cloud_in_units, scene_in_units, views_in_units
+from econgs_bench.methods.interface import SceneInput
 
 USUAL = (1.0, 16.0)
 """Extents of scenes that are fitted as they are."""

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from methods.contract.checks import CHECKS, Subject
-from methods.registry import Registry, load_method
+from econgs_bench.methods.contract.checks import CHECKS, Subject
+from econgs_bench.methods.registry import Registry, load_method
 
 PLUGINS = (
     [] if "toy-blobs" in Registry().names() else [Path(__file__).parent]

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, RateKnob, option
+from econgs_bench.methods.interface import SHARED_SOURCE, Configuration, MethodSpec, RateKnob, option
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ SPEC = MethodSpec(
         "Compressors. IEEE Transactions on Big Data 9(2), 2023"
     ),
     version="1",
-    implementation="methods.volume.method:Sz3Method",
+    implementation="econgs_bench.methods.volume.method:Sz3Method",
     source=("datasets", *SHARED_SOURCE),
     joint=True,
     composable=True,

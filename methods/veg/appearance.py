@@ -10,10 +10,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from datasets.scene import BasicScene, Light
-from datasets.transfer import Bump, TransferFunction
-from econgs.anchors.shading import shade
-from methods.shared.edits import triple
+from econgs_bench.datasets.scene import BasicScene, Light
+from econgs_bench.datasets.transfer import Bump, TransferFunction
+from econgs_bench.econgs.anchors.shading import shade
+from econgs_bench.methods.shared.edits import triple
 
 _PHONG = 4.0
 """Power of |n·h| over that of r·v for nearly the same highlight: the angle of n and h is half as wide."""

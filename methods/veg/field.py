@@ -7,8 +7,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.ground_truth.model import index_transform
-from datasets.volume import Volume
+from econgs_bench.datasets.ground_truth.model import index_transform
+from econgs_bench.datasets.volume import Volume
 
 
 def values_at(volume: Volume, points: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from methods.interface import SceneInput
-from methods.shared.method import TrainerMethod
-from methods.veg.model import VegModel
-from methods.veg.spec import VegOptions
-from methods.veg.training import VegTrainer
+from econgs_bench.methods.interface import SceneInput
+from econgs_bench.methods.shared.method import TrainerMethod
+from econgs_bench.methods.veg.model import VegModel
+from econgs_bench.methods.veg.spec import VegOptions
+from econgs_bench.methods.veg.training import VegTrainer
 
 
 class Veg(TrainerMethod):

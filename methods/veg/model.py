@@ -13,18 +13,18 @@ from urllib.parse import quote
 import torch
 from torch import Tensor
 
-from datasets.camera import Camera
-from datasets.edits import edited
-from datasets.errors import DataError
-from datasets.scene import RGB, WHITE, BasicScene
-from econgs.anchors.gaussians import Gaussians
-from econgs.codebooks import quantise_scalars
-from methods.interface import Edit, Refused
-from methods.shared.files import saved_files
-from methods.shared.model import SceneModel
-from methods.shared.quantised_scene import Column, QuantisedScene, half_exact, read_folder
-from methods.shared.sealed import read_facts, write_facts
-from methods.veg.appearance import Appearance, scene_as_json, scene_from_json
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.edits import edited
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.scene import RGB, WHITE, BasicScene
+from econgs_bench.econgs.anchors.gaussians import Gaussians
+from econgs_bench.econgs.codebooks import quantise_scalars
+from econgs_bench.methods.interface import Edit, Refused
+from econgs_bench.methods.shared.files import saved_files
+from econgs_bench.methods.shared.model import SceneModel
+from econgs_bench.methods.shared.quantised_scene import Column, QuantisedScene, half_exact, read_folder
+from econgs_bench.methods.shared.sealed import read_facts, write_facts
+from econgs_bench.methods.veg.appearance import Appearance, scene_as_json, scene_from_json
 
 FORMAT = "econgs-bench veg 1"
 METHOD = "veg"

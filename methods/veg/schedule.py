@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from methods.ivr_gs.schedule import IvrSchedule
+from econgs_bench.methods.ivr_gs.schedule import IvrSchedule
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,15 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from methods.interface import SHARED_SOURCE, Configuration, MethodSpec, OptionValue, RateKnob, option
-from methods.shared import splatting
+from econgs_bench.methods.interface import (
+    SHARED_SOURCE,
+    Configuration,
+    MethodSpec,
+    OptionValue,
+    RateKnob,
+    option,
+)
+from econgs_bench.methods.shared import splatting
 
 PUBLISHED: dict[str, OptionValue] = {
     **splatting.PUBLISHED,
@@ -116,7 +123,7 @@ SPEC = MethodSpec(
         "Transfer Function-Agnostic 3D Gaussians for Volume Rendering. arXiv:2504.13339, 2025"
     ),
     version="3",
-    implementation="methods.veg.method:Veg",
+    implementation="econgs_bench.methods.veg.method:Veg",
     source=SHARED_SOURCE,
     joint=True,
     composable=True,

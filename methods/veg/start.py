@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from econgs.points import neighbour_distances
-from methods.interface import Refused, SceneInput
-from methods.shared.start import thinned
-from methods.veg.field import gradients_at, values_at
-from methods.veg.spec import VegOptions
+from econgs_bench.econgs.points import neighbour_distances
+from econgs_bench.methods.interface import Refused, SceneInput
+from econgs_bench.methods.shared.start import thinned
+from econgs_bench.methods.veg.field import gradients_at, values_at
+from econgs_bench.methods.veg.spec import VegOptions
 
 FIRST_OPACITY = {"depth": 0.3, "product": 0.1}
 """The published one of the product. Of the depth: Gaussians that deviate by 0.6 of their spacing overlap, and

@@ -10,20 +10,20 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from datasets.camera import Camera
-from datasets.scene import RGB
-from econgs.anchors.gaussians import Gaussians
-from econgs.anchors.shading import MIN_NORMAL
-from econgs.optim import Adam
-from econgs.splat.composite import MIN_ALPHA
-from econgs.splat.rasterise import SplatImages, rasterise
-from methods.gaussian_splatting.densify import GrowthRules, GrowthStatistics, grow
-from methods.gaussian_splatting.training import LEARNING_RATES, POSITION_DECAY
-from methods.interface import Checkpoint, Refused, SceneInput
-from methods.ivr_gs.losses import normal_loss, smoothness_loss
-from methods.ivr_gs.training import NORMAL_RATE
-from methods.shared.rent import Holding
-from methods.shared.training import (
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.scene import RGB
+from econgs_bench.econgs.anchors.gaussians import Gaussians
+from econgs_bench.econgs.anchors.shading import MIN_NORMAL
+from econgs_bench.econgs.optim import Adam
+from econgs_bench.econgs.splat.composite import MIN_ALPHA
+from econgs_bench.econgs.splat.rasterise import SplatImages, rasterise
+from econgs_bench.methods.gaussian_splatting.densify import GrowthRules, GrowthStatistics, grow
+from econgs_bench.methods.gaussian_splatting.training import LEARNING_RATES, POSITION_DECAY
+from econgs_bench.methods.interface import Checkpoint, Refused, SceneInput
+from econgs_bench.methods.ivr_gs.losses import normal_loss, smoothness_loss
+from econgs_bench.methods.ivr_gs.training import NORMAL_RATE
+from econgs_bench.methods.shared.rent import Holding
+from econgs_bench.methods.shared.training import (
     CHECK_EVERY,
     TrainingLoop,
     TrainingState,
@@ -31,8 +31,8 @@ from methods.shared.training import (
     training_images,
     under,
 )
-from methods.veg.appearance import Appearance, scene_as_json, scene_from_json
-from methods.veg.model import (
+from econgs_bench.methods.veg.appearance import Appearance, scene_as_json, scene_from_json
+from econgs_bench.methods.veg.model import (
     Field,
     Group,
     HasColumns,
@@ -43,9 +43,9 @@ from methods.veg.model import (
     columns,
     visible_rows,
 )
-from methods.veg.schedule import VegSchedule
-from methods.veg.spec import VegOptions
-from methods.veg.start import initial_parameters
+from econgs_bench.methods.veg.schedule import VegSchedule
+from econgs_bench.methods.veg.spec import VegOptions
+from econgs_bench.methods.veg.start import initial_parameters
 
 SHADING = ("ambient", "diffuse", "specular", "shininess")
 PARAMETERS = ("means", "log_scales", "quats", "normals", "scalars", "opacities", *SHADING)
@@ -65,7 +65,7 @@ class VegTrainer(TrainingLoop):
     """State of a fit: parameters, optimiser, densification statistics, order of views, random state.
 
     Arguments: the scenes of one variable, resolved options, and those of
-    :class:`methods.shared.training.TrainingLoop`. Each step sees one view of one scene.
+    :class:`.methods.shared.training.TrainingLoop`. Each step sees one view of one scene.
 
     Raises:
         Refused: a scene without views, volume or transfer function; no initial points, or too many of them.
@@ -265,7 +265,7 @@ class VegTrainer(TrainingLoop):
         self._forget()
 
     def _frame(self, scene: _Scene, camera: Camera, kept: Tensor) -> tuple[Gaussians, Tensor]:
-        """What :data:`methods.shared.rent.Frame` asks for."""
+        """What :data:`.methods.shared.rent.Frame` asks for."""
         shown = visible_rows(self.optimiser["scalars"].detach().sigmoid(), [scene.look])
         rows = shown[kept[shown]]
         gaussians = self._gaussians(rows)

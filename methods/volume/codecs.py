@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from methods.interface import Refused
-from methods.shared.decoders import decoded
+from econgs_bench.methods.interface import Refused
+from econgs_bench.methods.shared.decoders import decoded
 
 Grid = NDArray[np.float32]
 _MISSING = "{} needs the package {}: pip install 'econgs-bench[rivals]'"
@@ -40,7 +40,7 @@ class Codec(ABC):
         """
 
     def restore(self, stream: bytes, shape: tuple[int, ...]) -> Grid:
-        """The values of a stream (:func:`methods.shared.decoders.decoded`).
+        """The values of a stream (:func:`.methods.shared.decoders.decoded`).
 
         Args:
             stream: that :meth:`compress` returned.

@@ -10,16 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from datasets.render_views import volume_digest
-from datasets.scene import BasicScene
-from methods.interface import Budget, Checkpoint, Model, Monitor, Refused, SceneInput
-from methods.volume.codecs import Codec, Sz3, Zfp
-from methods.volume.model import VolumeModel, VolumeScene, definitions
-from methods.volume.stored import Samples
+from econgs_bench.datasets.render_views import volume_digest
+from econgs_bench.datasets.scene import BasicScene
+from econgs_bench.methods.interface import Budget, Checkpoint, Model, Monitor, Refused, SceneInput
+from econgs_bench.methods.volume.codecs import Codec, Sz3, Zfp
+from econgs_bench.methods.volume.model import VolumeModel, VolumeScene, definitions
+from econgs_bench.methods.volume.stored import Samples
 
 
 class VolumeMethod(ABC):
-    """A :class:`methods.interface.Method` that stores the volumes of scenes.
+    """A :class:`.methods.interface.Method` that stores the volumes of scenes.
 
     Attributes:
         name: the method's name, for messages.
@@ -49,7 +49,7 @@ class VolumeMethod(ABC):
         monitor: Monitor,
         resume: Checkpoint | None = None,
     ) -> VolumeModel:
-        """Compress the volumes of a group; see :class:`methods.interface.Method`.
+        """Compress the volumes of a group; see :class:`.methods.interface.Method`.
 
         Every iteration reports the same: the RMS error of the values, as a share of their range.
         """

@@ -14,19 +14,19 @@ from urllib.parse import quote
 import torch
 from torch import Tensor
 
-from datasets.bounded import json_of
-from datasets.camera import Camera
-from datasets.edits import edited
-from datasets.errors import DataError
-from datasets.ground_truth.model import Draw, Layer, Marcher
-from datasets.ground_truth.probe import find_backend
-from datasets.render_views import marcher_of
-from datasets.scene import RGB, BasicScene
-from methods.interface import Edit, Refused
-from methods.shared.files import plain_name, saved_files
-from methods.shared.model import NamedScenes, seconds
-from methods.volume.codecs import Codec
-from methods.volume.stored import Samples, StoredVolume, read
+from econgs_bench.datasets.bounded import json_of
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.edits import edited
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.ground_truth.model import Draw, Layer, Marcher
+from econgs_bench.datasets.ground_truth.probe import find_backend
+from econgs_bench.datasets.render_views import marcher_of
+from econgs_bench.datasets.scene import RGB, BasicScene
+from econgs_bench.methods.interface import Edit, Refused
+from econgs_bench.methods.shared.files import plain_name, saved_files
+from econgs_bench.methods.shared.model import NamedScenes, seconds
+from econgs_bench.methods.volume.codecs import Codec
+from econgs_bench.methods.volume.stored import Samples, StoredVolume, read
 
 _SUFFIX = ".json"
 
@@ -58,7 +58,7 @@ class VolumeScene:
 
 
 class VolumeModel(NamedScenes[VolumeScene]):
-    """A :class:`methods.interface.Model` whose primitives are voxels.
+    """A :class:`.methods.interface.Model` whose primitives are voxels.
 
     Args:
         scenes: at least one, with distinct names.
@@ -76,7 +76,7 @@ class VolumeModel(NamedScenes[VolumeScene]):
         self._last: tuple[Any, Draw] | None = None
 
     def save(self, folder: Path, rate: float | None = None) -> Mapping[str, Mapping[str, int]]:
-        """Write every file; see :class:`methods.interface.Model`.
+        """Write every file; see :class:`.methods.interface.Model`.
 
         Args:
             folder: where to.

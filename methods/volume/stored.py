@@ -20,11 +20,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from datasets.bounded import inflated, json_of
-from datasets.errors import DataError
-from datasets.volume import Volume
-from methods.shared.decoders import own_streams
-from methods.volume.codecs import Codec, Grid
+from econgs_bench.datasets.bounded import inflated, json_of
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.volume import Volume
+from econgs_bench.methods.shared.decoders import own_streams
+from econgs_bench.methods.volume.codecs import Codec, Grid
 
 SUFFIX = ".volume"
 _MAGIC = b"\x89VOLUME1"
@@ -43,7 +43,7 @@ class Samples:
     Attributes:
         variable: name.
         values: (nz, ny, nx) normalised.
-        mask: as of :class:`datasets.volume.Volume`.
+        mask: as of :class:`.datasets.volume.Volume`.
         spacing: as there.
         value_range: as there.
         dtype: type of the data values; "float32" unless they are whole numbers of at most 16 bits.

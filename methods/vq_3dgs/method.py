@@ -1,8 +1,8 @@
 """vq-3dgs behind the interface of the harness."""
 
-from methods.shared.method import TrainerMethod
-from methods.vq_3dgs.model import VqModel
-from methods.vq_3dgs.training import VqTrainer
+from econgs_bench.methods.shared.method import TrainerMethod
+from econgs_bench.methods.vq_3dgs.model import VqModel
+from econgs_bench.methods.vq_3dgs.training import VqTrainer
 
 
 class VectorQuantised(TrainerMethod):

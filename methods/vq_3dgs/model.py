@@ -9,13 +9,13 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from econgs.codebooks import quantise, quantise_scalars
-from econgs.splat.composite import MIN_ALPHA
-from methods.formats.integer import CELL
-from methods.gaussian_splatting.model import SceneGaussians, SplatModel
-from methods.interface import Refused
-from methods.shared.quantised_scene import Column, QuantisedScene, placed, read_folder
-from methods.vq_3dgs.spec import VqOptions
+from econgs_bench.econgs.codebooks import quantise, quantise_scalars
+from econgs_bench.econgs.splat.composite import MIN_ALPHA
+from econgs_bench.methods.formats.integer import CELL
+from econgs_bench.methods.gaussian_splatting.model import SceneGaussians, SplatModel
+from econgs_bench.methods.interface import Refused
+from econgs_bench.methods.shared.quantised_scene import Column, QuantisedScene, placed, read_folder
+from econgs_bench.methods.vq_3dgs.spec import VqOptions
 
 FORMAT = "econgs-bench vq-3dgs 1"
 GROUPS = {"color": 3, "sh1": 9, "sh2": 15, "sh3": 21, "scale": 3, "rotation": 4}

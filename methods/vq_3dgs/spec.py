@@ -3,10 +3,10 @@
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
-from methods.gaussian_splatting.spec import SPEC as PLAIN
-from methods.gaussian_splatting.spec import GaussianOptions
-from methods.interface import Configuration, RateKnob, option
-from methods.shared import splatting
+from econgs_bench.methods.gaussian_splatting.spec import SPEC as PLAIN
+from econgs_bench.methods.gaussian_splatting.spec import GaussianOptions
+from econgs_bench.methods.interface import Configuration, RateKnob, option
+from econgs_bench.methods.shared import splatting
 
 Size = Literal[16, 64, 256, 1024]
 SIZES: tuple[int, ...] = get_args(Size)
@@ -37,7 +37,7 @@ SPEC = replace(
         "since K. Navaneet, K. Meibodi, S. Koohpayegani, H. Pirsiavash (Compact3D, ECCV 2024) does"
     ),
     version="7",
-    implementation="methods.vq_3dgs.method:VectorQuantised",
+    implementation="econgs_bench.methods.vq_3dgs.method:VectorQuantised",
     options=VqOptions,
     rate_knobs=(RateKnob("codebook_size", SIZES, refit=True),),
     configurations={

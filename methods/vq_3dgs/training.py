@@ -7,21 +7,26 @@ from dataclasses import asdict, replace
 import torch
 from torch import Tensor
 
-from datasets.camera import Camera
-from datasets.scene import RGB
-from econgs.codebooks import Codebook, rounded
-from econgs.context.positions import PositionGrid
-from econgs.optim import Adam
-from econgs.splat.rasterise import rasterise
-from econgs.splat.sh import spherical_harmonics
-from methods.gaussian_splatting.model import SceneGaussians
-from methods.gaussian_splatting.schedule import Schedule
-from methods.gaussian_splatting.training import LEARNING_RATES, PARAMETERS, Trainer, plain_gaussians
-from methods.interface import Checkpoint, SceneInput
-from methods.shared.quantised_scene import QuantisedScene
-from methods.shared.training import TrainingState
-from methods.vq_3dgs.model import GROUPS, VqModel, gaussians, quantised
-from methods.vq_3dgs.spec import VqOptions
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.scene import RGB
+from econgs_bench.econgs.codebooks import Codebook, rounded
+from econgs_bench.econgs.context.positions import PositionGrid
+from econgs_bench.econgs.optim import Adam
+from econgs_bench.econgs.splat.rasterise import rasterise
+from econgs_bench.econgs.splat.sh import spherical_harmonics
+from econgs_bench.methods.gaussian_splatting.model import SceneGaussians
+from econgs_bench.methods.gaussian_splatting.schedule import Schedule
+from econgs_bench.methods.gaussian_splatting.training import (
+    LEARNING_RATES,
+    PARAMETERS,
+    Trainer,
+    plain_gaussians,
+)
+from econgs_bench.methods.interface import Checkpoint, SceneInput
+from econgs_bench.methods.shared.quantised_scene import QuantisedScene
+from econgs_bench.methods.shared.training import TrainingState
+from econgs_bench.methods.vq_3dgs.model import GROUPS, VqModel, gaussians, quantised
+from econgs_bench.methods.vq_3dgs.spec import VqOptions
 
 _LAST = 0.1  # words end at this share of their first learning rates
 

@@ -3,9 +3,9 @@
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from methods.interface import Configuration, RateKnob, option
-from methods.sz3.spec import SPEC as SZ3
-from methods.sz3.spec import VolumeOptions
+from econgs_bench.methods.interface import Configuration, RateKnob, option
+from econgs_bench.methods.sz3.spec import SPEC as SZ3
+from econgs_bench.methods.sz3.spec import VolumeOptions
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ SPEC = replace(
         "P. Lindstrom: Fixed-Rate Compressed Floating-Point Arrays. IEEE Transactions on Visualization and "
         "Computer Graphics 20(12), 2014"
     ),
-    implementation="methods.volume.method:ZfpMethod",
+    implementation="econgs_bench.methods.volume.method:ZfpMethod",
     options=ZfpOptions,
     rate_knobs=(RateKnob("error bound", (8.0, 1.0, 0.125, 0.015625, 1e-4), refit=False),),
     configurations={"fair": Configuration(), "paper": Configuration({"mode": "rate"})},

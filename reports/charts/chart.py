@@ -1,4 +1,4 @@
-"""A chart as a value: panels with axes, series and labels, which :mod:`reports.charts.svg` draws."""
+"""A chart as a value: panels with axes, series and labels, which :mod:`.reports.charts.svg` draws."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from reports.charts.labels import Label, place_labels, text_width
-from reports.style import Look
+from econgs_bench.reports.charts.labels import Label, place_labels, text_width
+from econgs_bench.reports.style import Look
 
 WIDTH, HEIGHT = 380.0, 310.0
 """Size of a panel in pixels, axes and titles included."""

@@ -1,7 +1,7 @@
 """What the charts draw, taken from the documented tables; shared by the page and the figures.
 
-Of training (convergence, anytime, losses) see :mod:`reports.charts.training`, of rates
-:mod:`reports.curves`, of attributes :mod:`reports.charts.features`.
+Of training (convergence, anytime, losses) see :mod:`.reports.charts.training`, of rates
+:mod:`.reports.curves`, of attributes :mod:`.reports.charts.features`.
 """
 
 from __future__ import annotations
@@ -11,19 +11,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from reports import floors
-from reports.charts import parts
-from reports.charts.parts import OTHER
-from reports.floors import Floor
-from reports.fronts import pareto
-from reports.schema import COLUMNS
-from reports.style import OTHERS, Look, Model, label, looks, mean_key, mib, model, named, seconds
-from reports.tables.protocols import comparable
+from econgs_bench.reports import floors
+from econgs_bench.reports.charts import parts
+from econgs_bench.reports.charts.parts import OTHER
+from econgs_bench.reports.floors import Floor
+from econgs_bench.reports.fronts import pareto
+from econgs_bench.reports.schema import COLUMNS
+from econgs_bench.reports.style import OTHERS, Look, Model, label, looks, mean_key, mib, model, named, seconds
+from econgs_bench.reports.tables.protocols import comparable
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from reports.curves import Curve
+    from econgs_bench.reports.curves import Curve
 
 
 AXIS = {
@@ -147,11 +147,11 @@ def tradeoff(results: pd.DataFrame, against: str) -> list[Panel]:
     """PSNR against a column of :data:`AXIS`, by dataset; rows not ok or without either number are left out.
 
     The mean over scenes is only drawn where all scenes of the dataset are there. Fits that differ only in a
-    rate knob are one line. Of more variants than are named (:func:`reports.style.named`) the others are
+    rate knob are one line. Of more variants than are named (:func:`.reports.style.named`) the others are
     without their scenes.
 
     Args:
-        results: of the seeds that :func:`reports.curves.with_shared_seeds` leaves.
+        results: of the seeds that :func:`.reports.curves.with_shared_seeds` leaves.
         against: the column.
     """
     unit = AXIS[against].scale

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from statistics import fmean
 
-from reports.charts.chart import GRAY, Chart, Panel, Series, Text, broken_axis, log_axis
-from reports.charts.levels import with_floor
-from reports.conclusions.contest import Contest
-from reports.conclusions.relative import Mark, marks, reference
-from reports.floors import Floor, mean
-from reports.fronts import pareto
-from reports.schema import COLUMNS
-from reports.style import Look, Model, label, look, model_named
+from econgs_bench.reports.charts.chart import GRAY, Chart, Panel, Series, Text, broken_axis, log_axis
+from econgs_bench.reports.charts.levels import with_floor
+from econgs_bench.reports.conclusions.contest import Contest
+from econgs_bench.reports.conclusions.relative import Mark, marks, reference
+from econgs_bench.reports.floors import Floor, mean
+from econgs_bench.reports.fronts import pareto
+from econgs_bench.reports.schema import COLUMNS
+from econgs_bench.reports.style import Look, Model, label, look, model_named
 
 COSTS = {"size_bytes": "Size", "train_seconds": "Training time", "fps": "Frames per second"}
 """Column of a cost -> its title."""

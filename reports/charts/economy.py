@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from reports.charts import kinds
-from reports.charts.elements import Section, cards, legend, table
-from reports.conclusions import economy
-from reports.schema import PRUNED
-from reports.style import MISSING
+from econgs_bench.reports.charts import kinds
+from econgs_bench.reports.charts.elements import Section, cards, legend, table
+from econgs_bench.reports.conclusions import economy
+from econgs_bench.reports.schema import PRUNED
+from econgs_bench.reports.style import MISSING
 
 if TYPE_CHECKING:
-    from reports.charts.report import Report
-    from reports.conclusions.economy import Economy
+    from econgs_bench.reports.charts.report import Report
+    from econgs_bench.reports.conclusions.economy import Economy
 
 _WORDS = (
     "What a scene holds is measured by the bytes of its volume as the transfer function shows it, coded "

@@ -6,10 +6,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 
-from reports import markup
-from reports.charts import svg
-from reports.charts.chart import Chart, Panel
-from reports.style import Look
+from econgs_bench.reports import markup
+from econgs_bench.reports.charts import svg
+from econgs_bench.reports.charts.chart import Chart, Panel
+from econgs_bench.reports.style import Look
 
 MOST_PANELS = 16
 """Panels of a section on the page."""

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reports.curves import at_default_rates
-from reports.style import Model, model, models, named
-from reports.tables.protocols import comparable
+from econgs_bench.reports.curves import at_default_rates
+from econgs_bench.reports.style import Model, model, models, named
+from econgs_bench.reports.tables.protocols import comparable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -54,8 +54,8 @@ def histograms(features: pd.DataFrame) -> list[Histogram]:
 
     Scalings of offsets and of Gaussians are of other sizes, and two attributes.
 
-    With many variants only the defaults are shown (:func:`reports.style.named`), and of fits that differ only
-    in a rate knob the default's.
+    With many variants only the defaults are shown (:func:`.reports.style.named`), and of fits that differ
+    only in a rate knob the default's.
 
     Args:
         features: the documented table.

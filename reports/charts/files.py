@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from reports.charts.chart import Chart
+    from econgs_bench.reports.charts.chart import Chart
 
 
 @contextmanager
@@ -33,7 +33,7 @@ def output(folder: Path) -> Iterator[Callable[[Mapping[str, Chart]], None]]:
     Raises:
         RuntimeError: a chart cannot be converted. The message holds the converter's own.
     """
-    from reports.charts import svg
+    from econgs_bench.reports.charts import svg
 
     # By its path: by its name, a folder `reports/` in the working directory would be run instead.
     command = [sys.executable, "-P", __file__]
@@ -66,8 +66,8 @@ def output(folder: Path) -> Iterator[Callable[[Mapping[str, Chart]], None]]:
 
 
 def _pages(charts: Mapping[str, Chart], folder: Path) -> Iterator[tuple[str, Chart]]:
-    """The charts in parts that a page holds (:func:`reports.charts.svg.pages`); earlier files are removed."""
-    from reports.charts import svg
+    """The charts in parts that a page holds (:func:`.reports.charts.svg.pages`); earlier files go."""
+    from econgs_bench.reports.charts import svg
 
     for name, chart in charts.items():
         earlier = re.compile(rf"{re.escape(name)}(-\d+)?\.(svg|pdf)")

@@ -1,4 +1,4 @@
-"""The kinds of charts: what :mod:`reports.charts.data` and its neighbours compute, as charts."""
+"""The kinds of charts: what :mod:`.reports.charts.data` and its neighbours compute, as charts."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
 
-from reports.charts import data, features, training
-from reports.charts.chart import (
+from econgs_bench.reports.charts import data, features, training
+from econgs_bench.reports.charts.chart import (
     GRAY,
     INK,
     Axis,
@@ -22,14 +22,14 @@ from reports.charts.chart import (
     log_axis,
     room_for,
 )
-from reports.charts.labels import text_width
-from reports.charts.levels import with_floor
-from reports.charts.parts import colors
-from reports.conclusions import economy
-from reports.curves import Curve, floor_of
-from reports.floors import Floor
-from reports.schema import PRUNED
-from reports.style import OTHERS, OTHERS_NAME, PALETTE, Look, Model, legend_entries, looks, mib
+from econgs_bench.reports.charts.labels import text_width
+from econgs_bench.reports.charts.levels import with_floor
+from econgs_bench.reports.charts.parts import colors
+from econgs_bench.reports.conclusions import economy
+from econgs_bench.reports.curves import Curve, floor_of
+from econgs_bench.reports.floors import Floor
+from econgs_bench.reports.schema import PRUNED
+from econgs_bench.reports.style import OTHERS, OTHERS_NAME, PALETTE, Look, Model, legend_entries, looks, mib
 
 Panels = Mapping[str, Sequence[training.Curve]]
 """Title -> lines."""
@@ -43,10 +43,10 @@ _MOST_BARS = 36
 
 
 def tradeoff(panels: Sequence[data.Panel], column: str, models: list[Model]) -> Chart:
-    """PSNR against a column of :data:`reports.charts.data.AXIS` (log); the dominated region is shaded.
+    """PSNR against a column of :data:`.reports.charts.data.AXIS` (log); the dominated region is shaded.
 
     Args:
-        panels: as :func:`reports.charts.data.tradeoff` makes them.
+        panels: as :func:`.reports.charts.data.tradeoff` makes them.
         column: of the horizontal axis.
         models: all of the report.
     """
@@ -159,7 +159,7 @@ def needs(rows: Sequence[economy.Economy], models: list[Model]) -> Chart:
     """Bytes of a model for a quality over those of the volume without loss (log), a panel per quality.
 
     A mark is a scene, and faint where the smallest size is above the quality. A line is the growth of bytes
-    (:func:`reports.conclusions.economy.growth`); on the gray one a model takes as many as the volume.
+    (:func:`.reports.conclusions.economy.growth`); on the gray one a model takes as many as the volume.
     """
     panels = []
     for level in economy.LEVELS:

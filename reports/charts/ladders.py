@@ -7,16 +7,16 @@ from collections.abc import Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from reports.charts.chart import Axis, Bar, Chart, Panel
-from reports.charts.elements import Section, card, legend
-from reports.charts.labels import text_width
-from reports.conclusions.ladders import contrasts, title, words
-from reports.style import BLACK, BLUE, ORANGE, PINK, SKY, VERMILLION, Look, label
-from reports.tables.ladders import climbed, held
-from reports.text import short_name
+from econgs_bench.reports.charts.chart import Axis, Bar, Chart, Panel
+from econgs_bench.reports.charts.elements import Section, card, legend
+from econgs_bench.reports.charts.labels import text_width
+from econgs_bench.reports.conclusions.ladders import contrasts, title, words
+from econgs_bench.reports.style import BLACK, BLUE, ORANGE, PINK, SKY, VERMILLION, Look, label
+from econgs_bench.reports.tables.ladders import climbed, held
+from econgs_bench.reports.text import short_name
 
 if TYPE_CHECKING:
-    from reports.charts.report import Report
+    from econgs_bench.reports.charts.report import Report
 
 KINDS = {
     "quality": SKY, "floaters": ORANGE, "vanishing parts": PINK, "explosion": BLUE,
@@ -49,7 +49,7 @@ def ladder_chart(climbs: Sequence[dict[str, Any]]) -> Chart:
     Panels hold as many methods as can be read side by side, and the ladders that these were asked to climb.
 
     Args:
-        climbs: as of :func:`reports.tables.ladders.climbed`.
+        climbs: as of :func:`.reports.tables.ladders.climbed`.
     """
     columns: list[list[str]] = [[]]
     for pair in sorted({(row["method"], row["variant"]) for row in climbs}):

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from reports.charts.chart import Level, Panel
-from reports.floors import Floor, of_table
-from reports.tables.protocols import comparable
+from econgs_bench.reports.charts.chart import Level, Panel
+from econgs_bench.reports.floors import Floor, of_table
+from econgs_bench.reports.tables.protocols import comparable
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from reports.charts.chart import Chart
-from reports.charts.elements import Section, annotated
-from reports.comparability import PARTS, Remark, begins, concerning, fixed_rays
-from reports.schema import records
-from reports.style import counted
+from econgs_bench.reports.charts.chart import Chart
+from econgs_bench.reports.charts.elements import Section, annotated
+from econgs_bench.reports.comparability import PARTS, Remark, begins, concerning, fixed_rays
+from econgs_bench.reports.schema import records
+from econgs_bench.reports.style import counted
 
 if TYPE_CHECKING:
-    from reports.charts.report import Report
+    from econgs_bench.reports.charts.report import Report
 
 _MOST = 3
 _CLOCKS = {

@@ -1,4 +1,4 @@
-"""The charts and the section of the races (:mod:`reports.conclusions.races`)."""
+"""The charts and the section of the races (:mod:`.reports.conclusions.races`)."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from reports.charts.chart import Chart, Panel, Series, Text, broken_axis, log_axis, room_for
-from reports.charts.elements import Section, cards, legend, table
-from reports.charts.levels import with_floor
-from reports.conclusions.races import DISCIPLINES, HEADS, Race, conclusion, row
-from reports.floors import mean
-from reports.style import Look, Model, label, look, model_named
+from econgs_bench.reports.charts.chart import Chart, Panel, Series, Text, broken_axis, log_axis, room_for
+from econgs_bench.reports.charts.elements import Section, cards, legend, table
+from econgs_bench.reports.charts.levels import with_floor
+from econgs_bench.reports.conclusions.races import DISCIPLINES, HEADS, Race, conclusion, row
+from econgs_bench.reports.floors import mean
+from econgs_bench.reports.style import Look, Model, label, look, model_named
 
 if TYPE_CHECKING:
-    from reports.charts.report import Report
+    from econgs_bench.reports.charts.report import Report
 
 _POINTS = 33
 """Costs at which a line is read off, beside those of the models."""

@@ -8,32 +8,32 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from reports.comparability import Remark, compared, remarks
-from reports.conclusions.answers import CRITERIA, answers, compare
-from reports.conclusions.contest import contests
-from reports.conclusions.economy import economies
-from reports.conclusions.family import Family
-from reports.conclusions.races import races
-from reports.conclusions.rates import differences, p_values
-from reports.curves import curves, with_shared_seeds
-from reports.schema import frame
-from reports.statistics import Views
-from reports.style import Model, absent, models
-from reports.tables import confidence
-from reports.tables.ladders import ladders
-from reports.tables.means import summary
-from reports.tables.protocols import by_protocol
-from reports.tables.ranks import ranks
+from econgs_bench.reports.comparability import Remark, compared, remarks
+from econgs_bench.reports.conclusions.answers import CRITERIA, answers, compare
+from econgs_bench.reports.conclusions.contest import contests
+from econgs_bench.reports.conclusions.economy import economies
+from econgs_bench.reports.conclusions.family import Family
+from econgs_bench.reports.conclusions.races import races
+from econgs_bench.reports.conclusions.rates import differences, p_values
+from econgs_bench.reports.curves import curves, with_shared_seeds
+from econgs_bench.reports.schema import frame
+from econgs_bench.reports.statistics import Views
+from econgs_bench.reports.style import Model, absent, models
+from econgs_bench.reports.tables import confidence
+from econgs_bench.reports.tables.ladders import ladders
+from econgs_bench.reports.tables.means import summary
+from econgs_bench.reports.tables.protocols import by_protocol
+from econgs_bench.reports.tables.ranks import ranks
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from reports.conclusions.answers import Answer
-    from reports.conclusions.contest import Contest
-    from reports.conclusions.economy import Economy
-    from reports.conclusions.races import Race
-    from reports.conclusions.rates import Difference
-    from reports.curves import Curve
+    from econgs_bench.reports.conclusions.answers import Answer
+    from econgs_bench.reports.conclusions.contest import Contest
+    from econgs_bench.reports.conclusions.economy import Economy
+    from econgs_bench.reports.conclusions.races import Race
+    from econgs_bench.reports.conclusions.rates import Difference
+    from econgs_bench.reports.curves import Curve
 
 
 def _cells(table: pd.DataFrame) -> Iterator[tuple[tuple[Any, ...], bool]]:
@@ -51,12 +51,12 @@ class Report:
     """What page, files and charts are made from; each value is computed once, when it is first used.
 
     Args:
-        tables: the tables of :mod:`reports.schema`.
+        tables: the tables of :mod:`.reports.schema`.
 
     Attributes:
         stored: the tables.
-        measured: their results :func:`~reports.tables.protocols.by_protocol`.
-        tables: the same of all tables, with what is compared (:func:`reports.comparability.compared`).
+        measured: their results :func:`~.reports.tables.protocols.by_protocol`.
+        tables: the same of all tables, with what is compared (:func:`.reports.comparability.compared`).
         results: the results among them; their index is that of the same rows of ``measured``.
     """
 

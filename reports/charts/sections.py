@@ -7,28 +7,28 @@ from html import escape
 from itertools import chain
 from typing import TYPE_CHECKING
 
-from reports.charts import data, features, kinds, stability_sections, training
-from reports.charts.chart import Chart, Panel
-from reports.charts.decision import decisions
-from reports.charts.economy import economy_section
-from reports.charts.elements import Section, card, cards, legend, rest, table
-from reports.charts.ladders import ladders_section
-from reports.charts.levels import by_panel
-from reports.charts.notes import noted, with_notes
-from reports.charts.races import races_section
-from reports.charts.unseen import unseen_section
-from reports.charts.volumes import volumes_section
-from reports.conclusions import rates
-from reports.curves import LEAST_POINTS, at_default_rates
-from reports.schema import records
-from reports.style import MISSING, MOST_NAMED, OTHERS_NAME, Look, absent, models, seconds
-from reports.tables import confidence
-from reports.tables.protocols import comparable
+from econgs_bench.reports.charts import data, features, kinds, stability_sections, training
+from econgs_bench.reports.charts.chart import Chart, Panel
+from econgs_bench.reports.charts.decision import decisions
+from econgs_bench.reports.charts.economy import economy_section
+from econgs_bench.reports.charts.elements import Section, card, cards, legend, rest, table
+from econgs_bench.reports.charts.ladders import ladders_section
+from econgs_bench.reports.charts.levels import by_panel
+from econgs_bench.reports.charts.notes import noted, with_notes
+from econgs_bench.reports.charts.races import races_section
+from econgs_bench.reports.charts.unseen import unseen_section
+from econgs_bench.reports.charts.volumes import volumes_section
+from econgs_bench.reports.conclusions import rates
+from econgs_bench.reports.curves import LEAST_POINTS, at_default_rates
+from econgs_bench.reports.schema import records
+from econgs_bench.reports.style import MISSING, MOST_NAMED, OTHERS_NAME, Look, absent, models, seconds
+from econgs_bench.reports.tables import confidence
+from econgs_bench.reports.tables.protocols import comparable
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from reports.charts.report import Report
+    from econgs_bench.reports.charts.report import Report
 
 _HELD_OUT = "a few held-out views (of the measured split; no method trains on them)"
 _GRAY = (

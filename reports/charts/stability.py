@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from reports.charts.training import Curve
-from reports.curves import at_default_rates
-from reports.style import MIB, label, model
-from reports.tables.columns import places
-from reports.tables.protocols import ORIGIN, conditions
+from econgs_bench.reports.charts.training import Curve
+from econgs_bench.reports.curves import at_default_rates
+from econgs_bench.reports.style import MIB, label, model
+from econgs_bench.reports.tables.columns import places
+from econgs_bench.reports.tables.protocols import ORIGIN, conditions
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -99,7 +99,7 @@ def few_views(results: pd.DataFrame) -> dict[str, list[Curve]]:
     that were not fitted with every number of views.
 
     Args:
-        results: as :func:`reports.tables.protocols.by_training_views` makes it.
+        results: as :func:`.reports.tables.protocols.by_training_views` makes it.
     """
     if results.empty or ORIGIN not in results:
         return {}

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from reports.charts import kinds, stability
-from reports.charts.elements import Section, card, cards, legend, table
-from reports.style import MISSING, Look
+from econgs_bench.reports.charts import kinds, stability
+from econgs_bench.reports.charts.elements import Section, card, cards, legend, table
+from econgs_bench.reports.style import MISSING, Look
 
 if TYPE_CHECKING:
-    from reports.charts.report import Report
+    from econgs_bench.reports.charts.report import Report
 
 
 def stability_section(report: Report) -> Section | None:

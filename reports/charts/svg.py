@@ -8,11 +8,11 @@ from functools import cache
 from html import escape
 from typing import Any
 
-from reports import markup
-from reports.charts.chart import INK, WIDTH, Axis, Chart, Panel
-from reports.charts.labels import LINE, SIZE, text_width
-from reports.style import DARK, Look
-from reports.text import xml_text
+from econgs_bench.reports import markup
+from econgs_bench.reports.charts.chart import INK, WIDTH, Axis, Chart, Panel
+from econgs_bench.reports.charts.labels import LINE, SIZE, text_width
+from econgs_bench.reports.style import DARK, Look
+from econgs_bench.reports.text import xml_text
 
 FONT = "Liberation Sans, Arial, Helvetica, sans-serif"
 """Fonts of the same metrics, which label places are computed for."""

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from reports.curves import at_default_rates
-from reports.style import MIB, Model, model, models, named
-from reports.tables.columns import places
-from reports.tables.protocols import comparable
+from econgs_bench.reports.curves import at_default_rates
+from econgs_bench.reports.style import MIB, Model, model, models, named
+from econgs_bench.reports.tables.columns import places
+from econgs_bench.reports.tables.protocols import comparable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -206,7 +206,7 @@ class Losses:
 def losses(rows: pd.DataFrame) -> list[Losses]:
     """The losses by part of all methods that tell them; figures that are no part of the sum are left out.
 
-    With many variants only the defaults are shown (:func:`reports.style.named`).
+    With many variants only the defaults are shown (:func:`.reports.style.named`).
 
     Args:
         rows: as of :func:`steps`.

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from reports.charts.chart import Axis, Chart, Panel, Series, broken_axis
-from reports.charts.elements import Section, cards, legend, table
-from reports.conclusions.unseen import HEADS, Target, band_means, conclusion, rows, targets
-from reports.style import Model, legend_entries, looks
+from econgs_bench.reports.charts.chart import Axis, Chart, Panel, Series, broken_axis
+from econgs_bench.reports.charts.elements import Section, cards, legend, table
+from econgs_bench.reports.conclusions.unseen import HEADS, Target, band_means, conclusion, rows, targets
+from econgs_bench.reports.style import Model, legend_entries, looks
 
 if TYPE_CHECKING:
-    from reports.charts.report import Report
+    from econgs_bench.reports.charts.report import Report
 
 _WORDS = (
     "Transfer functions between and beyond those that were trained on: their bumps are moved by shares of "

@@ -6,16 +6,23 @@ from collections.abc import Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
-from reports.charts.chart import INK, Chart, Panel, Series, Text, broken_axis, log_axis
-from reports.charts.elements import Section, cards, table
-from reports.charts.levels import with_floor
-from reports.conclusions.volumes import HEADS, Verdict, conclusion, memory_and_times, row, verdicts
-from reports.curves import floor_of
-from reports.style import MIB, Look, Model, looks
+from econgs_bench.reports.charts.chart import INK, Chart, Panel, Series, Text, broken_axis, log_axis
+from econgs_bench.reports.charts.elements import Section, cards, table
+from econgs_bench.reports.charts.levels import with_floor
+from econgs_bench.reports.conclusions.volumes import (
+    HEADS,
+    Verdict,
+    conclusion,
+    memory_and_times,
+    row,
+    verdicts,
+)
+from econgs_bench.reports.curves import floor_of
+from econgs_bench.reports.style import MIB, Look, Model, looks
 
 if TYPE_CHECKING:
-    from reports.charts.report import Report
-    from reports.curves import Curve
+    from econgs_bench.reports.charts.report import Report
+    from econgs_bench.reports.curves import Curve
 
 _WORDS = (
     "Left: mean PSNR of the pictures over size per scene, of models and of the volume itself, compressed; a "

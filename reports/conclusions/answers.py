@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from reports import floors
-from reports.clocks import decoding
-from reports.comparability import fixed_rays
-from reports.conclusions.contest import Cells, Contest, Values
-from reports.conclusions.effects import LEAST_DATASETS, Effect, effect
-from reports.conclusions.family import Family, largest
-from reports.conclusions.ladders import Tally, tally
-from reports.schema import COLUMNS
-from reports.style import absent, counted, enumeration, label
-from reports.tables.confidence import signed
+from econgs_bench.reports import floors
+from econgs_bench.reports.clocks import decoding
+from econgs_bench.reports.comparability import fixed_rays
+from econgs_bench.reports.conclusions.contest import Cells, Contest, Values
+from econgs_bench.reports.conclusions.effects import LEAST_DATASETS, Effect, effect
+from econgs_bench.reports.conclusions.family import Family, largest
+from econgs_bench.reports.conclusions.ladders import Tally, tally
+from econgs_bench.reports.schema import COLUMNS
+from econgs_bench.reports.style import absent, counted, enumeration, label
+from econgs_bench.reports.tables.confidence import signed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -146,7 +146,7 @@ def answers(contest: Contest, results: pd.DataFrame, ladders: pd.DataFrame, fami
     Args:
         contest: the methods and rows that are compared.
         results: the table that the contest is from; its edited scenes decide about editing.
-        ladders: as of :func:`reports.tables.ladders.ladders`. Those that two methods climbed decide about
+        ladders: as of :func:`.reports.tables.ladders.ladders`. Those that two methods climbed decide about
             robustness; without any, worst cases do.
         family: all leads of the page.
     """

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from reports.clocks import CLOCKS
-from reports.comparability import (
+from econgs_bench.reports.clocks import CLOCKS
+from econgs_bench.reports.comparability import (
     DATASET,
     DISTURBED,
     UNKNOWN,
@@ -17,10 +17,16 @@ from reports.comparability import (
     kind_of,
     usual_place,
 )
-from reports.floors import Floor, by_scene
-from reports.schema import records
-from reports.style import absent
-from reports.tables.protocols import GROUPING, ORIGIN, contestants, drawn_as_means, without_drawing
+from econgs_bench.reports.floors import Floor, by_scene
+from econgs_bench.reports.schema import records
+from econgs_bench.reports.style import absent
+from econgs_bench.reports.tables.protocols import (
+    GROUPING,
+    ORIGIN,
+    contestants,
+    drawn_as_means,
+    without_drawing,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -199,7 +205,7 @@ def contests(results: pd.DataFrame) -> list[Contest]:
     """A contest per preset and split with at least two methods, the one with the most comparisons first.
 
     Args:
-        results: the table `results` of :func:`reports.tables.protocols.by_protocol`.
+        results: the table `results` of :func:`.reports.tables.protocols.by_protocol`.
     """
     grouping = results.get(GROUPING, "")
     default = (results["kind"] == "basic") & (results["variant"].fillna("").map(without_drawing) == grouping)

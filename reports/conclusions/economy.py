@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from reports.curves import Curve, Point, at_default_rates, curves
-from reports.schema import PRUNED
-from reports.style import MISSING, Model, model
-from reports.tables.columns import places
-from reports.tables.protocols import ORIGIN
+from econgs_bench.reports.curves import Curve, Point, at_default_rates, curves
+from econgs_bench.reports.schema import PRUNED
+from econgs_bench.reports.style import MISSING, Model, model
+from econgs_bench.reports.tables.columns import places
+from econgs_bench.reports.tables.protocols import ORIGIN
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 LEVELS = (30.0, 35.0, 40.0)
 """PSNR in dB for which bytes and primitives are reported."""
 DROP = "prunable_010"
-"""Of :data:`reports.schema.PRUNED`, the one that the chart shows and the conclusion names."""
+"""Of :data:`.reports.schema.PRUNED`, the one that the chart shows and the conclusion names."""
 KIB = 1024.0
 _LEAST_SCENES = 3
 """Of a method, for how its bytes grow."""
@@ -57,7 +57,7 @@ class Economy:
         needs: level of :data:`LEVELS` -> what it takes; None where no model reaches it.
         gains: dB per added KiB between neighbours of the curve, from the smallest model on.
         gaussians: of the default's model; None where it was not asked what could go.
-        prunable: column of :data:`reports.schema.PRUNED` -> share of them that can go.
+        prunable: column of :data:`.reports.schema.PRUNED` -> share of them that can go.
     """
 
     scene: str
@@ -109,7 +109,7 @@ def economies(results: pd.DataFrame, complexity: pd.DataFrame) -> list[Economy]:
     """One per scene and curve, in the tables' order.
 
     Args:
-        results: of basic scenes, at the seeds that :func:`reports.curves.with_shared_seeds`
+        results: of basic scenes, at the seeds that :func:`.reports.curves.with_shared_seeds`
             leaves.
         complexity: the table of that name; empty where no suite asked for it.
     """

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from reports.conclusions.contest import Cells
-from reports.statistics import Error, Variance
+from econgs_bench.reports.conclusions.contest import Cells
+from econgs_bench.reports.statistics import Error, Variance
 
 LEAST_DATASETS = 3
 """Datasets from which their differences are the sample; with fewer it is the scenes."""

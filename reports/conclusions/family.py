@@ -6,7 +6,7 @@ from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from reports.style import counted
+from econgs_bench.reports.style import counted
 
 LEVEL = 0.05
 """Probability that a page declares any lead of methods that are equal."""

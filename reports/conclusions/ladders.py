@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
-from reports.schema import records
-from reports.style import absent, counted, enumeration, label
-from reports.tables.confidence import signed
-from reports.tables.ladders import held, severity
+from econgs_bench.reports.schema import records
+from econgs_bench.reports.style import absent, counted, enumeration, label
+from econgs_bench.reports.tables.confidence import signed
+from econgs_bench.reports.tables.ladders import held, severity
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,7 +58,7 @@ def tally(table: pd.DataFrame, methods: Collection[str], preset: str) -> Tally |
     """Compare methods with their default options; None without a rung that two of them climbed.
 
     Args:
-        table: of :func:`reports.tables.ladders.ladders`.
+        table: of :func:`.reports.tables.ladders.ladders`.
         methods: to compare. Those with fewer than half as many ladders as another one are left out.
         preset: of the rows that count.
     """
@@ -94,7 +94,7 @@ def by_method(climbs: Iterable[Row]) -> dict[tuple[str, str], list[Row]]:
     """Method and variant -> its climbs, the earliest break first.
 
     Args:
-        climbs: as of :func:`reports.tables.ladders.climbed`.
+        climbs: as of :func:`.reports.tables.ladders.climbed`.
     """
     methods: dict[tuple[str, str], list[Row]] = {}
     for climb in climbs:
@@ -131,7 +131,7 @@ def contrasts(climbs: Sequence[Row]) -> list[str]:
     """Sentences on all methods: which ladders break none, which break all alike, and whom each other breaks.
 
     Args:
-        climbs: as of :func:`reports.tables.ladders.climbed`.
+        climbs: as of :func:`.reports.tables.ladders.climbed`.
     """
     methods = {(climb["method"], climb["variant"]) for climb in climbs}
     none, alike, others = [], [], []
@@ -196,7 +196,7 @@ def summary(climbs: Iterable[Row]) -> list[str]:
     """A line per method for a terminal: the rungs that hold, and the first breaks.
 
     Args:
-        climbs: as of :func:`reports.tables.ladders.climbed`.
+        climbs: as of :func:`.reports.tables.ladders.climbed`.
     """
     methods = by_method(climbs)
     width = max((len(label(*name)) for name in methods), default=0)

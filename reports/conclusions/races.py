@@ -16,15 +16,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from reports import floors
-from reports.conclusions.contest import Cells
-from reports.conclusions.effects import Effect, effect
-from reports.conclusions.family import Family, largest
-from reports.floors import Floor
-from reports.fronts import interpolated, pareto
-from reports.schema import records
-from reports.style import MIB, MISSING, absent, counted, label, mib, seconds
-from reports.tables.protocols import (
+from econgs_bench.reports import floors
+from econgs_bench.reports.conclusions.contest import Cells
+from econgs_bench.reports.conclusions.effects import Effect, effect
+from econgs_bench.reports.conclusions.family import Family, largest
+from econgs_bench.reports.floors import Floor
+from econgs_bench.reports.fronts import interpolated, pareto
+from econgs_bench.reports.schema import records
+from econgs_bench.reports.style import MIB, MISSING, absent, counted, label, mib, seconds
+from econgs_bench.reports.tables.protocols import (
     GROUPING,
     comparable,
     contestants,
@@ -248,7 +248,7 @@ def races(results: pd.DataFrame) -> list[Race]:
     Lengths and rates that were not measured with all seeds of a method take no part.
 
     Args:
-        results: the table of that name, with what is compared (:func:`reports.comparability.compared`).
+        results: the table of that name, with what is compared (:func:`.reports.comparability.compared`).
     """
     rows = results[(results["kind"] == "basic") & (results["status"] == "ok") & results["psnr"].notna()]
     rows = rows[rows["iterations"].notna() & (rows["iterations"] > 1)]  # volumes and meshes train nothing

@@ -9,18 +9,18 @@ from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from reports import floors, rate_intervals
-from reports.conclusions.family import Family, largest
-from reports.floors import Floor
-from reports.schema import records
-from reports.style import MISSING, mib
-from reports.tables import confidence
+from econgs_bench.reports import floors, rate_intervals
+from econgs_bench.reports.conclusions.family import Family, largest
+from econgs_bench.reports.floors import Floor
+from econgs_bench.reports.schema import records
+from econgs_bench.reports.style import MISSING, mib
+from econgs_bench.reports.tables import confidence
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from reports.curves import Curve, Point
-    from reports.statistics import Views
+    from econgs_bench.reports.curves import Curve, Point
+    from econgs_bench.reports.statistics import Views
 
 LEAST_OVERLAP = 0.5
 """Less of the common range, as a share of what both curves span, is warned of."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from reports.conclusions.contest import Contest
-from reports.conclusions.effects import Effect, effect
+from econgs_bench.reports.conclusions.contest import Contest
+from econgs_bench.reports.conclusions.effects import Effect, effect
 
 REFERENCE = "3dgs"
 

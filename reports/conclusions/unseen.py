@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from reports.conclusions.volumes import VOLUMES
-from reports.schema import records
-from reports.style import MISSING, Model, model
+from econgs_bench.reports.conclusions.volumes import VOLUMES
+from econgs_bench.reports.schema import records
+from econgs_bench.reports.style import MISSING, Model, model
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -54,7 +54,7 @@ def targets(results: pd.DataFrame) -> list[Target]:
     """Trained and unseen transfer functions of the datasets on which bumps were moved.
 
     Args:
-        results: with the columns of :data:`reports.schema.TABLES`; failed rows are left out.
+        results: with the columns of :data:`.reports.schema.TABLES`; failed rows are left out.
     """
     if "distance" not in results:
         return []

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from reports.fronts import interpolated
-from reports.style import MIB, MISSING, absent, mib
+from econgs_bench.reports.fronts import interpolated
+from econgs_bench.reports.style import MIB, MISSING, absent, mib
 
 if TYPE_CHECKING:
-    from reports.curves import Curve
+    from econgs_bench.reports.curves import Curve
 
 VOLUMES = ("sz3", "zfp")
 """Methods that store the volume itself."""

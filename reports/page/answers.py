@@ -7,21 +7,21 @@ from collections.abc import Container
 from html import escape
 from typing import TYPE_CHECKING
 
-from reports import markup
-from reports.charts import svg
-from reports.charts.decision import decisions
-from reports.charts.elements import Section
-from reports.charts.notes import noted
-from reports.conclusions.answers import BEST_PICTURE, scope
-from reports.floors import mean
-from reports.schema import COLUMNS
-from reports.style import Model, counted, label, look, model_named
+from econgs_bench.reports import markup
+from econgs_bench.reports.charts import svg
+from econgs_bench.reports.charts.decision import decisions
+from econgs_bench.reports.charts.elements import Section
+from econgs_bench.reports.charts.notes import noted
+from econgs_bench.reports.conclusions.answers import BEST_PICTURE, scope
+from econgs_bench.reports.floors import mean
+from econgs_bench.reports.schema import COLUMNS
+from econgs_bench.reports.style import Model, counted, label, look, model_named
 
 if TYPE_CHECKING:
-    from reports.charts.chart import Chart
-    from reports.charts.report import Report
-    from reports.conclusions.answers import Answer
-    from reports.conclusions.contest import Contest
+    from econgs_bench.reports.charts.chart import Chart
+    from econgs_bench.reports.charts.report import Report
+    from econgs_bench.reports.conclusions.answers import Answer
+    from econgs_bench.reports.conclusions.contest import Contest
 
 _EVIDENCE = {
     "Smallest": ["ledger"], BEST_PICTURE: ["confidence"], "Fastest to train": ["anytime"],

@@ -5,9 +5,9 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING
 
-from reports.paper.datasets import PUBLISHED, costs
-from reports.schema import by_name
-from reports.tables.columns import cell
+from econgs_bench.reports.paper.datasets import PUBLISHED, costs
+from econgs_bench.reports.schema import by_name
+from econgs_bench.reports.tables.columns import cell
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -9,26 +9,26 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports.charts import files as chart_files
-from reports.charts import svg
-from reports.charts.elements import Section
-from reports.charts.report import Report
-from reports.charts.sections import chart_sections, variant_sections
-from reports.files import write_files, write_text
-from reports.page import answers, datasets, editing, ladders, provenance, scenes, training_views
-from reports.page import results as results_table
-from reports.paper import verdicts
-from reports.paper.evidence import of_report
-from reports.paper.tables import paper_tables
-from reports.style import absent, counted, label
-from reports.text import xml_text
+from econgs_bench.reports.charts import files as chart_files
+from econgs_bench.reports.charts import svg
+from econgs_bench.reports.charts.elements import Section
+from econgs_bench.reports.charts.report import Report
+from econgs_bench.reports.charts.sections import chart_sections, variant_sections
+from econgs_bench.reports.files import write_files, write_text
+from econgs_bench.reports.page import answers, datasets, editing, ladders, provenance, scenes, training_views
+from econgs_bench.reports.page import results as results_table
+from econgs_bench.reports.paper import verdicts
+from econgs_bench.reports.paper.evidence import of_report
+from econgs_bench.reports.paper.tables import paper_tables
+from econgs_bench.reports.style import absent, counted, label
+from econgs_bench.reports.text import xml_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     import pandas as pd
 
-    from reports.paper.values import PaperTable
+    from econgs_bench.reports.paper.values import PaperTable
 
 _WEB = Path(__file__).parent / "web"
 _FEW_REMARKS = 4
@@ -42,10 +42,10 @@ def write_report(
     paper: Sequence[PaperTable] | None = None,
     report: Report | None = None,
 ) -> Path:
-    """Write the report, the files of :func:`reports.files.write_files`, and panels into ``charts/``.
+    """Write the report, the files of :func:`.reports.files.write_files`, and panels into ``charts/``.
 
     Args:
-        tables: the tables of :mod:`reports.schema`.
+        tables: the tables of :mod:`.reports.schema`.
         root: folder that the paths of pictures in ``views`` are relative to.
         out: the HTML file.
         paper: the paper's tables of the same rows, if the caller has them.

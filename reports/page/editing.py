@@ -7,18 +7,18 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports import markup
-from reports.page.scenes import sheets
-from reports.pictures.panels import Panel, choose, in_view, models
-from reports.pictures.transfer import beside
-from reports.style import MISSING, label
-from reports.tables.edited import with_bases
-from reports.tables.protocols import conditions
+from econgs_bench.reports import markup
+from econgs_bench.reports.page.scenes import sheets
+from econgs_bench.reports.pictures.panels import Panel, choose, in_view, models
+from econgs_bench.reports.pictures.transfer import beside
+from econgs_bench.reports.style import MISSING, label
+from econgs_bench.reports.tables.edited import with_bases
+from econgs_bench.reports.tables.protocols import conditions
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from reports.charts.report import Report
+    from econgs_bench.reports.charts.report import Report
 
 PICTURE_BYTES = 2_000_000
 """Most bytes of pictures on the page; the files contain all of them."""

@@ -8,21 +8,21 @@ from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
-from reports import markup
-from reports.charts.ladders import KINDS, anchor, kind_of
-from reports.conclusions.ladders import by_method, flickering, title, verdict
-from reports.pictures import ladder_files, strips
-from reports.pictures.files import thumbnail
-from reports.schema import COLUMNS, COVERAGE, records
-from reports.style import MISSING, absent, label
-from reports.tables.confidence import signed
-from reports.tables.ladders import climbed, held
+from econgs_bench.reports import markup
+from econgs_bench.reports.charts.ladders import KINDS, anchor, kind_of
+from econgs_bench.reports.conclusions.ladders import by_method, flickering, title, verdict
+from econgs_bench.reports.pictures import ladder_files, strips
+from econgs_bench.reports.pictures.files import thumbnail
+from econgs_bench.reports.schema import COLUMNS, COVERAGE, records
+from econgs_bench.reports.style import MISSING, absent, label
+from econgs_bench.reports.tables.confidence import signed
+from econgs_bench.reports.tables.ladders import climbed, held
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from reports.charts.report import Report
+    from econgs_bench.reports.charts.report import Report
 
 PICTURE_BYTES = 1_500_000
 """Most bytes of pictures on the page."""
@@ -36,7 +36,7 @@ def section(report: Report, root: Path, charts: Path) -> str:
     Args:
         report: the tables.
         root: folder that the paths of pictures are relative to.
-        charts: folder beside the page, for the files of ladders (:mod:`reports.pictures.ladder_files`).
+        charts: folder beside the page, for the files of ladders (:mod:`.reports.pictures.ladder_files`).
     """
     climbs = climbed(report.ladders)
     if not climbs:

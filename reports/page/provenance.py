@@ -5,13 +5,13 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from reports import markup
-from reports.schema import by_name
-from reports.style import MISSING, absent, mib, seconds
-from reports.tables.columns import cell
+from econgs_bench.reports import markup
+from econgs_bench.reports.schema import by_name
+from econgs_bench.reports.style import MISSING, absent, mib, seconds
+from econgs_bench.reports.tables.columns import cell
 
 if TYPE_CHECKING:
-    from reports.charts.report import Report
+    from econgs_bench.reports.charts.report import Report
 
 
 DETAILS = (

@@ -7,19 +7,19 @@ from collections.abc import Iterable, Mapping
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from reports import markup
-from reports.comparability import kind_of, rays_a_pixel, reason, replaced
-from reports.page.provenance import DETAILS, details
-from reports.schema import COLUMNS, METRICS, by_name, frame, records
-from reports.style import MISSING, absent, label, mean_key, models
-from reports.tables.columns import axes, cell, numbers
-from reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, UNDECIDED_SIGN, ranks
-from reports.tables.results import notes, omissions
+from econgs_bench.reports import markup
+from econgs_bench.reports.comparability import kind_of, rays_a_pixel, reason, replaced
+from econgs_bench.reports.page.provenance import DETAILS, details
+from econgs_bench.reports.schema import COLUMNS, METRICS, by_name, frame, records
+from econgs_bench.reports.style import MISSING, absent, label, mean_key, models
+from econgs_bench.reports.tables.columns import axes, cell, numbers
+from econgs_bench.reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, UNDECIDED_SIGN, ranks
+from econgs_bench.reports.tables.results import notes, omissions
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from reports.charts.report import Report
+    from econgs_bench.reports.charts.report import Report
 
 
 def section(report: Report) -> str:

@@ -7,21 +7,21 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports import markup
-from reports.pictures import panel_files
-from reports.pictures.difference import DELTA_E_MAX, scale
-from reports.pictures.files import pictures, uri
-from reports.pictures.panels import RULE, WHICH, Panel, Shot, models, panels
-from reports.pictures.transfer import beside
-from reports.style import Model, row_label
-from reports.tables.columns import cell
-from reports.tables.protocols import conditions
+from econgs_bench.reports import markup
+from econgs_bench.reports.pictures import panel_files
+from econgs_bench.reports.pictures.difference import DELTA_E_MAX, scale
+from econgs_bench.reports.pictures.files import pictures, uri
+from econgs_bench.reports.pictures.panels import RULE, WHICH, Panel, Shot, models, panels
+from econgs_bench.reports.pictures.transfer import beside
+from econgs_bench.reports.style import Model, row_label
+from econgs_bench.reports.tables.columns import cell
+from econgs_bench.reports.tables.protocols import conditions
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from reports.charts.report import Report
+    from econgs_bench.reports.charts.report import Report
 
 PICTURE_BYTES = 4_300_000
 """Most bytes of pictures on the page."""

@@ -6,15 +6,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports.page.scenes import sheets
-from reports.pictures.panels import Panel, choose, in_view, models
-from reports.pictures.transfer import beside
-from reports.tables.protocols import conditions
+from econgs_bench.reports.page.scenes import sheets
+from econgs_bench.reports.pictures.panels import Panel, choose, in_view, models
+from econgs_bench.reports.pictures.transfer import beside
+from econgs_bench.reports.tables.protocols import conditions
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from reports.charts.report import Report
+    from econgs_bench.reports.charts.report import Report
 
 PICTURE_BYTES = 2_000_000
 """Most bytes of pictures on the page; the files contain all of them."""

@@ -9,11 +9,11 @@ from functools import cache
 from itertools import product
 from typing import Any
 
-from reports.paper import intervals
-from reports.paper.layouts import FOLDER, layouts
-from reports.paper.values import QUANTITIES, Block, PaperTable, Row
-from reports.schema import METRICS
-from reports.statistics import Interval, Views
+from econgs_bench.reports.paper import intervals
+from econgs_bench.reports.paper.layouts import FOLDER, layouts
+from econgs_bench.reports.paper.values import QUANTITIES, Block, PaperTable, Row
+from econgs_bench.reports.schema import METRICS
+from econgs_bench.reports.statistics import Interval, Views
 
 HOLDS, EXCEEDS, FAILS = "holds", "holds, exceeds", "does not hold"
 AMONG = "holds among the paper's"
@@ -76,7 +76,7 @@ def check(tables: Sequence[PaperTable], views: Views) -> list[Verdict]:
     """Every claim on every dataset of its table; one verdict without dataset if none was measured.
 
     Args:
-        tables: the measured tables of the paper, and those of :mod:`reports.paper.evidence`.
+        tables: the measured tables of the paper, and those of :mod:`.reports.paper.evidence`.
         views: the table `views`, for intervals of differences of quality.
     """
     evidence = _Evidence({table.name: table.blocks for table in tables}, views)

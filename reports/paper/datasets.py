@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from reports.paper.layouts import reference_rows
+from econgs_bench.reports.paper.layouts import reference_rows
 
 if TYPE_CHECKING:
     import pandas as pd

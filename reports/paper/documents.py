@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from html import escape
 
-from reports.paper.values import NOT_MEASURED, QUANTITIES, Block, PaperTable, Quantity, Value
-from reports.style import MISSING
-from reports.tables.documents import MARKDOWN_MARKS, TEX_MARKS, tex, tex_notes
-from reports.tables.ranks import UNDECIDED, UNDECIDED_SIGN
-from reports.text import markdown_cell
+from econgs_bench.reports.paper.values import NOT_MEASURED, QUANTITIES, Block, PaperTable, Quantity, Value
+from econgs_bench.reports.style import MISSING
+from econgs_bench.reports.tables.documents import MARKDOWN_MARKS, TEX_MARKS, tex, tex_notes
+from econgs_bench.reports.tables.ranks import UNDECIDED, UNDECIDED_SIGN
+from econgs_bench.reports.text import markdown_cell
 
 
 def measured_text(value: Value, quantity: Quantity) -> str:

@@ -6,17 +6,17 @@ import fnmatch
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from reports.conclusions.rates import difference
-from reports.curves import Curve
-from reports.paper.layouts import known_as
-from reports.paper.values import QUANTITIES, Block, PaperTable, Row, Value
-from reports.schema import frame
-from reports.style import TITLES, Model, label
+from econgs_bench.reports.conclusions.rates import difference
+from econgs_bench.reports.curves import Curve
+from econgs_bench.reports.paper.layouts import known_as
+from econgs_bench.reports.paper.values import QUANTITIES, Block, PaperTable, Row, Value
+from econgs_bench.reports.schema import frame
+from econgs_bench.reports.style import TITLES, Model, label
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from reports.charts.report import Report
+    from econgs_bench.reports.charts.report import Report
 
 OURS = Model("econgs")
 LAYOUTS = {

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from reports.paper.values import QUANTITIES
-from reports.statistics import Error, Interval, Variance
+from econgs_bench.reports.paper.values import QUANTITIES
+from econgs_bench.reports.statistics import Error, Interval, Variance
 
 if TYPE_CHECKING:
-    from reports.paper.values import Parts, Row
+    from econgs_bench.reports.paper.values import Parts, Row
 
 
 def ratio(above: Row, below: Row, column: str) -> Interval | None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import product
 
-from reports.paper.values import QUANTITIES, Row
-from reports.schema import METRICS
-from reports.statistics import Views
-from reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, UNDECIDED_SIGN, leads, top_two
+from econgs_bench.reports.paper.values import QUANTITIES, Row
+from econgs_bench.reports.schema import METRICS
+from econgs_bench.reports.statistics import Views
+from econgs_bench.reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, UNDECIDED_SIGN, leads, top_two
 
 SEEDS_NOTE = f"{UNDECIDED_SIGN} of size, time and speed: the ranges of their seeds overlap."
 
@@ -19,7 +19,7 @@ def marks(
     """(row, column) -> place among the rows with equal :attr:`Row.rivals`, and remarks.
 
     Quality is ranked where paired differences over views decide. Other columns are ranked by their values,
-    unless the ranges of seeds overlap; times are of one place (:mod:`reports.comparability`).
+    unless the ranges of seeds overlap; times are of one place (:mod:`.reports.comparability`).
     """
     places: dict[tuple[int, str], int] = {}
     notes: dict[str, dict[str, None]] = {}

@@ -7,11 +7,11 @@ import json
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from reports.clocks import Clocks
-from reports.comparability import compared, fixed_rays, judged, reason, remarks, replaced
-from reports.paper.layouts import layouts, published_as, reference, rivals, sole_dataset, takes
-from reports.paper.marks import marks
-from reports.paper.values import (
+from econgs_bench.reports.clocks import Clocks
+from econgs_bench.reports.comparability import compared, fixed_rays, judged, reason, remarks, replaced
+from econgs_bench.reports.paper.layouts import layouts, published_as, reference, rivals, sole_dataset, takes
+from econgs_bench.reports.paper.marks import marks
+from econgs_bench.reports.paper.values import (
     NOT_MEASURED,
     QUANTITIES,
     Block,
@@ -22,11 +22,11 @@ from reports.paper.values import (
     counted_once,
     parts,
 )
-from reports.schema import METRICS, records
-from reports.statistics import Views
-from reports.style import absent
-from reports.tables.protocols import shared_by_all
-from reports.tables.results import omissions
+from econgs_bench.reports.schema import METRICS, records
+from econgs_bench.reports.statistics import Views
+from econgs_bench.reports.style import absent
+from econgs_bench.reports.tables.protocols import shared_by_all
+from econgs_bench.reports.tables.results import omissions
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -41,7 +41,7 @@ def paper_tables(tables: Mapping[str, pd.DataFrame], views: Views) -> list[Paper
     ignored. A table of one method takes the seeds that all its rows have.
 
     Args:
-        tables: the tables of :mod:`reports.schema`: `results`; `timing`, for the table of frame times;
+        tables: the tables of :mod:`.reports.schema`: `results`; `timing`, for the table of frame times;
             `superseded`, for remarks.
         views: the table `views`, which decides whether quality can be ranked.
     """
@@ -68,7 +68,7 @@ def lacking(results: pd.DataFrame, names: Iterable[str] = ()) -> str:
     """Why there is none of these tables: what the nearest one lacks; "" where no row belongs to any.
 
     Args:
-        results: the table of :mod:`reports.schema`.
+        results: the table of :mod:`.reports.schema`.
         names: of layouts; none: all.
     """
     results = results[results["kind"].isin(("basic", "composed")) & results["rate"].isna()]

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from reports.schema import COLUMNS
+from econgs_bench.reports.schema import COLUMNS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -137,7 +137,7 @@ class Block:
         scenes: number of scenes and the protocol, for people.
         rows: the rows.
         marks: (row, column) -> 1 for the best, 2 for the second best measured value, or
-            :data:`reports.tables.ranks.UNDECIDED`.
+            :data:`.reports.tables.ranks.UNDECIDED`.
         remarks: remarks on marks and on missing values.
         protocol: preset, number of views and split, as a short label.
         count: number of basic scenes.

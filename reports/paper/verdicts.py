@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
-from reports import markup
-from reports.paper.claims import (
+from econgs_bench.reports import markup
+from econgs_bench.reports.paper.claims import (
     AMONG,
     EXCEEDS,
     HOLDS,
@@ -18,13 +18,13 @@ from reports.paper.claims import (
     Verdict,
     check,
 )
-from reports.paper.documents import to_html as table_html
-from reports.style import MISSING
-from reports.tables.confidence import ends
+from econgs_bench.reports.paper.documents import to_html as table_html
+from econgs_bench.reports.style import MISSING
+from econgs_bench.reports.tables.confidence import ends
 
 if TYPE_CHECKING:
-    from reports.paper.values import PaperTable
-    from reports.statistics import Views
+    from econgs_bench.reports.paper.values import PaperTable
+    from econgs_bench.reports.statistics import Views
 
 _TAGS = dict.fromkeys((HOLDS, EXCEEDS), "ok") | dict.fromkeys((AMONG, NOT_DECIDED, UNKNOWN), "stale")
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from reports.pictures.transfer import AXIS, draw_level, draw_transfer, pixels
+from econgs_bench.reports.pictures.transfer import AXIS, draw_level, draw_transfer, pixels
 
 if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from reports.pictures.cieluv import cieluv
+from econgs_bench.reports.pictures.cieluv import cieluv
 
 DELTA_E_MAX = 20.0
 """Upper end of the fixed color scale of difference maps."""

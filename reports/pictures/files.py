@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reports.style import absent
+from econgs_bench.reports.style import absent
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reports.conclusions.ladders import amount
-from reports.pictures.panel_files import canvas, caption, save
-from reports.pictures.strips import FACTOR, Flicker, ViewsOfJobs, psnr_of, read_pair
-from reports.style import label
+from econgs_bench.reports.conclusions.ladders import amount
+from econgs_bench.reports.pictures.panel_files import canvas, caption, save
+from econgs_bench.reports.pictures.strips import FACTOR, Flicker, ViewsOfJobs, psnr_of, read_pair
+from econgs_bench.reports.style import label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,8 +61,8 @@ def breaks_of(climbs: Sequence[Row], rows: Sequence[Row], views: ViewsOfJobs, ro
     """The first breaks that have pictures (a failed step has none), the earliest first.
 
     Args:
-        climbs: of one method, as of :func:`reports.conclusions.ladders.by_method`.
-        rows: of :func:`reports.tables.ladders.ladders`.
+        climbs: of one method, as of :func:`.reports.conclusions.ladders.by_method`.
+        rows: of :func:`.reports.tables.ladders.ladders`.
         views: by job.
         root: folder that the paths in ``views`` are relative to.
     """

@@ -7,11 +7,11 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from reports.pictures.difference import DELTA_E_MAX, scale
-from reports.pictures.panels import Panel, Shot
-from reports.style import row_label
-from reports.tables.columns import cell
-from reports.text import printable, short_name
+from econgs_bench.reports.pictures.difference import DELTA_E_MAX, scale
+from econgs_bench.reports.pictures.panels import Panel, Shot
+from econgs_bench.reports.style import row_label
+from econgs_bench.reports.tables.columns import cell
+from econgs_bench.reports.text import printable, short_name
 
 if TYPE_CHECKING:
     import numpy as np

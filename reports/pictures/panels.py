@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reports.pictures.cieluv import delta_e_uv
-from reports.pictures.difference import colored, largest_window
-from reports.pictures.files import background, inside, read
-from reports.style import absent
-from reports.tables.columns import cell
+from econgs_bench.reports.pictures.cieluv import delta_e_uv
+from econgs_bench.reports.pictures.difference import colored, largest_window
+from econgs_bench.reports.pictures.files import background, inside, read
+from econgs_bench.reports.style import absent
+from econgs_bench.reports.tables.columns import cell
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reports.pictures.files import background, inside, read
-from reports.schema import records
-from reports.style import absent
+from econgs_bench.reports.pictures.files import background, inside, read
+from econgs_bench.reports.schema import records
+from econgs_bench.reports.style import absent
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -80,7 +80,7 @@ def until_break(rows: Sequence[Row]) -> dict[tuple[str, str], dict[int, Row]]:
     """Method and variant -> place -> rung, up to the first break; all where rungs are scenes.
 
     Args:
-        rows: of :func:`reports.tables.ladders.ladders`, of one ladder and subject.
+        rows: of :func:`.reports.tables.ladders.ladders`, of one ladder and subject.
     """
     methods: dict[tuple[str, str], dict[int, Row]] = {}
     broken = set()
@@ -97,7 +97,7 @@ def worst_subject(rows: Sequence[Row]) -> str:
     """The subject on which the most methods break; the first of several.
 
     Args:
-        rows: of one ladder, as of :func:`reports.tables.ladders.ladders`.
+        rows: of one ladder, as of :func:`.reports.tables.ladders.ladders`.
     """
     breaking: dict[str, set[tuple[str, str]]] = {}
     for row in rows:
@@ -140,7 +140,7 @@ def strip(rows: Sequence[Row], views: ViewsOfJobs, root: Path) -> dict[int, Rung
     """Place -> pictures of a rung; empty without picture files.
 
     Args:
-        rows: of :func:`reports.tables.ladders.ladders`, of one ladder and subject.
+        rows: of :func:`.reports.tables.ladders.ladders`, of one ladder and subject.
         views: by job.
         root: folder that the paths in ``views`` are relative to.
     """
@@ -162,7 +162,7 @@ def flicker(rows: Sequence[Row], views: ViewsOfJobs, root: Path) -> Flicker | No
     """The pair of neighbouring frames with the largest mean change of error over methods.
 
     Args:
-        rows: of :func:`reports.tables.ladders.ladders`, those with a flicker.
+        rows: of :func:`.reports.tables.ladders.ladders`, those with a flicker.
         views: by job.
         root: folder that the paths in ``views`` are relative to.
     """

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reports.pictures.panels import Panel
-from reports.style import absent
+from econgs_bench.reports.pictures.panels import Panel
+from econgs_bench.reports.style import absent
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from reports.schema import METRICS, by_name
-from reports.style import MISSING, absent
-from reports.tables.grid import Field
+from econgs_bench.reports.schema import METRICS, by_name
+from econgs_bench.reports.style import MISSING, absent
+from econgs_bench.reports.tables.grid import Field
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from reports.schema import METRICS, records
-from reports.style import MISSING, absent, row_label
+from econgs_bench.reports.schema import METRICS, records
+from econgs_bench.reports.style import MISSING, absent, row_label
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from reports.statistics import Interval, Views
+    from econgs_bench.reports.statistics import Interval, Views
 
 FEW_SEEDS = 5
 """Up to this number of seeds, `intervals` lists the value of each seed."""
@@ -26,7 +26,7 @@ def intervals(results: pd.DataFrame, means: pd.DataFrame, views: Views) -> pd.Da
 
     Args:
         results: the table `results`.
-        means: their :func:`~reports.tables.means.summary`.
+        means: their :func:`~.reports.tables.means.summary`.
         views: the table `views`.
     """
     import pandas as pd

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from reports.comparability import left_out
-from reports.schema import by_name
-from reports.style import MISSING, absent, row_label
-from reports.tables.columns import cell, is_results
-from reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, UNDECIDED_SIGN, ranks
-from reports.tables.results import marked, with_notes
-from reports.text import csv_cell, markdown_cell, one_line
+from econgs_bench.reports.comparability import left_out
+from econgs_bench.reports.schema import by_name
+from econgs_bench.reports.style import MISSING, absent, row_label
+from econgs_bench.reports.tables.columns import cell, is_results
+from econgs_bench.reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, UNDECIDED_SIGN, ranks
+from econgs_bench.reports.tables.results import marked, with_notes
+from econgs_bench.reports.text import csv_cell, markdown_cell, one_line
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,7 +26,7 @@ TEX_MARKS = {1: r"\textbf{{{}}}", 2: r"\underline{{{}}}", UNDECIDED: r"{}\rlap{{
 
 
 def to_csv(table: pd.DataFrame) -> str:
-    """All columns with raw values, texts as :func:`reports.text.csv_cell`; a missing value is empty.
+    """All columns with raw values, texts as :func:`.reports.text.csv_cell`; a missing value is empty.
 
     Numbers have Python's digits. NumPy's would be fewer after any library in the process has set its print
     options (colour-science does).

@@ -1,6 +1,6 @@
 """Ladders: how far a method climbs from the usual run towards the fatal one, and how it breaks.
 
-The definition of a break is that of the columns `failure` and `change` of :mod:`reports.schema`.
+The definition of a break is that of the columns `failure` and `change` of :mod:`.reports.schema`.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from statistics import fmean, stdev
 from typing import TYPE_CHECKING, Any
 
-from reports.schema import COLUMNS, records
-from reports.style import absent
+from econgs_bench.reports.schema import COLUMNS, records
+from econgs_bench.reports.style import absent
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from reports.schema import METRICS, records
-from reports.style import absent
+from econgs_bench.reports.schema import METRICS, records
+from econgs_bench.reports.style import absent
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
-from reports.style import absent, label
+from econgs_bench.reports.style import absent, label
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -140,7 +140,7 @@ def drawn_as_means(results: pd.DataFrame) -> pd.DataFrame:
 def contestants(results: pd.DataFrame) -> pd.DataFrame:
     """Results whose methods are named by the scenes that were learned together, where others are usual.
 
-    Conclusions rank them beside the usual models; the names are those of :func:`reports.style.label`.
+    Conclusions rank them beside the usual models; the names are those of :func:`.reports.style.label`.
     """
     if GROUPING not in results:
         return results

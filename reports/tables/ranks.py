@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from reports.schema import COLUMNS, METRICS, records
-from reports.statistics import Views
-from reports.style import absent
+from econgs_bench.reports.schema import COLUMNS, METRICS, records
+from econgs_bench.reports.statistics import Views
+from econgs_bench.reports.style import absent
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,7 +31,7 @@ def ranks(results: pd.DataFrame, views: Views | None = None) -> dict[tuple[Any, 
     difference to the leading value contains zero, both are :data:`UNDECIDED`, and no later value has a mark.
 
     Args:
-        results: the table `results`, or its :func:`~reports.tables.means.summary`.
+        results: the table `results`, or its :func:`~.reports.tables.means.summary`.
         views: the table `views`; without it, or where it lacks a row's job, means alone decide.
     """
     places: dict[tuple[Any, str], int] = {}

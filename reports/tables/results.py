@@ -6,11 +6,11 @@ import json
 from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
-from reports import comparability
-from reports.schema import COLUMNS, TABLES, records
-from reports.style import absent, label
-from reports.tables.columns import axes, cell, field, is_results, numbers
-from reports.tables.grid import Field, needed
+from econgs_bench.reports import comparability
+from econgs_bench.reports.schema import COLUMNS, TABLES, records
+from econgs_bench.reports.style import absent, label
+from econgs_bench.reports.tables.columns import axes, cell, field, is_results, numbers
+from econgs_bench.reports.tables.grid import Field, needed
 
 if TYPE_CHECKING:
     import pandas as pd

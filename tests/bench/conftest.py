@@ -16,14 +16,14 @@ import numpy as np
 import psutil
 import pytest
 
-from bench.plan import Planner
-from bench.records import Job, MeasureResult, ViewResult
-from bench.selection import Selection
-from bench.store import Store
-from bench.suites import load_suite
-from bench.tables import build_tables
-from datasets.camera import Camera
-from reports.schema import COLUMNS
+from econgs_bench.bench.plan import Planner
+from econgs_bench.bench.records import Job, MeasureResult, ViewResult
+from econgs_bench.bench.selection import Selection
+from econgs_bench.bench.store import Store
+from econgs_bench.bench.suites import load_suite
+from econgs_bench.bench.tables import build_tables
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.reports.schema import COLUMNS
 
 PACKAGES = Path(inspect.getfile(Planner)).resolve().parents[1]
 """Folder of the package that these tests import: the installed one, with its native core, or a checkout."""
@@ -78,8 +78,8 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def write_dataset(root: Path) -> Path:
     """Three scenes of 12 training and 4 test views, 8 x 8 pixels."""
-    from datasets.cloud import random_cloud
-    from datasets.png import write_png
+    from econgs_bench.datasets.cloud import random_cloud
+    from econgs_bench.datasets.png import write_png
     from tests.datasets.views_folder import write_ply, write_transforms
 
     rng = np.random.default_rng(1)
@@ -114,9 +114,12 @@ def workers(process: subprocess.Popen) -> list[psutil.Process]:
     try:
         children = psutil.Process(process.pid).children()
         forks = [
-            fork for child in children if "bench.processes" in child.cmdline() for fork in child.children()
+            fork
+            for child in children
+            if "econgs_bench.bench.processes" in child.cmdline()
+            for fork in child.children()
         ]
-        return [child for child in children if "bench.worker" in child.cmdline()] + forks
+        return [child for child in children if "econgs_bench.bench.worker" in child.cmdline()] + forks
     except psutil.Error:
         return []
 
@@ -179,7 +182,7 @@ class Bench:
         self.environment.pop("BENCH_DATA", None)
 
     def command(self, *arguments: object) -> list[str]:
-        return [sys.executable, "-m", "bench", *map(str, arguments)]
+        return [sys.executable, "-m", "econgs_bench.bench", *map(str, arguments)]
 
     def run_arguments(
         self, *more: object, scenes: tuple[str, ...] = ("a",), method: str = "fake"

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.records import (
+from econgs_bench.bench.records import (
     CurvePoint,
     EncodeResult,
     FitResult,
@@ -23,10 +23,10 @@ from bench.records import (
     ViewsResult,
     hash_of,
 )
-from bench.store import Store
-from methods.interface import MethodSpec
-from methods.options import resolve
-from methods.registry import Registry
+from econgs_bench.bench.store import Store
+from econgs_bench.methods.interface import MethodSpec
+from econgs_bench.methods.options import resolve
+from econgs_bench.methods.registry import Registry
 
 SCENES = ("TF01", "TF02", "TF03", "TF04")
 METHODS = ("3dgs", "ivr-gs")

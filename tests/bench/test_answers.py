@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from bench import worker
-from bench.jobs import answers, views
-from bench.monitor import Progress, Stop
-from bench.records import Task, ViewsResult
-from bench.store import Store
-from datasets.camera import Camera
+from econgs_bench.bench import worker
+from econgs_bench.bench.jobs import answers, views
+from econgs_bench.bench.monitor import Progress, Stop
+from econgs_bench.bench.records import Task, ViewsResult
+from econgs_bench.bench.store import Store
+from econgs_bench.datasets.camera import Camera
 
 from .conftest import SMALL, plan, suite_file
 

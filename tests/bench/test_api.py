@@ -8,8 +8,8 @@ import sys
 import numpy as np
 import pytest
 
-import bench as api
-from datasets.errors import UnknownName
+import econgs_bench as api
+from econgs_bench.datasets.errors import UnknownName
 from tests.bench.conftest import PLUGINS, Bench
 
 
@@ -20,9 +20,9 @@ def runs(finished: Bench) -> api.Runs:
 
 def test_the_package_starts_without_what_it_does_not_need() -> None:
     script = (
-        "import sys, bench; assert not {'numpy', 'torch', 'pandas'} & set(sys.modules); "
+        "import sys, econgs_bench as bench; assert not {'numpy', 'torch', 'pandas'} & set(sys.modules); "
         "assert set(bench.__all__) == set(dir(bench)); "
-        "import bench.api; assert set(bench.api.__all__) == set(bench.__all__); bench.Runs; "
+        "from econgs_bench.bench import api; assert set(api.__all__) == set(bench.__all__); bench.Runs; "
         "assert not {'torch', 'pandas'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", script], check=True)

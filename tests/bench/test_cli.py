@@ -16,16 +16,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bench.__main__ import COMMANDS, main
-from bench.commands.run import _state
-from bench.display import Display
-from bench.experiment import _announce
-from bench.records import hash_of
-from bench.store import Store
-from datasets.errors import DataError
-from datasets.ground_truth import probe
-from datasets.png import read_png
-from reports.comparability import replaced
+from econgs_bench.bench.__main__ import COMMANDS, main
+from econgs_bench.bench.commands.run import _state
+from econgs_bench.bench.display import Display
+from econgs_bench.bench.experiment import _announce
+from econgs_bench.bench.records import hash_of
+from econgs_bench.bench.store import Store
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.ground_truth import probe
+from econgs_bench.datasets.png import read_png
+from econgs_bench.reports.comparability import replaced
 from tests.datasets.views_folder import random_views
 
 LISTS = ("methods", "datasets", "suites", "metrics")
@@ -34,7 +34,7 @@ LISTS = ("methods", "datasets", "suites", "metrics")
 @pytest.mark.parametrize("what", LISTS)
 def test_lists_start_without_heavy_imports(bench, what: str) -> None:
     code = (
-        "import sys; from bench.__main__ import main; main(['list', sys.argv[1]]);"
+        "import sys; from econgs_bench.bench.__main__ import main; main(['list', sys.argv[1]]);"
         "heavy = {'torch', 'pandas', 'scipy', 'mitsuba', 'matplotlib', 'optuna', 'pydantic', 'rich'};"
         "heavy &= set(sys.modules);"
         "assert not heavy, heavy"
@@ -308,7 +308,7 @@ def test_a_report_does_not_go_into_a_file(finished, tmp_path, capsys) -> None:
 
 
 def test_units_of_limits() -> None:
-    from bench.__main__ import _bytes, _seconds
+    from econgs_bench.bench.__main__ import _bytes, _seconds
 
     assert [_seconds(t) for t in ("90", "90s", "1.5m", "2h")] == [90, 90, 90, 7200]
     assert [_bytes(t) for t in ("10", "2K", "500M", "8G", "8GB", "8GiB")] == [

@@ -10,25 +10,25 @@ from pathlib import Path
 
 import pytest
 
-from bench.__main__ import main
-from bench.api import Runs
-from bench.bundle import write_bundle
-from bench.commands.results import print_answers
-from bench.lineage import Lineage
-from bench.store import Store
-from bench.tables import build_tables, derived
-from methods.registry import Registry
-from reports.charts import svg
-from reports.charts.report import Report
-from reports.charts.sections import charts
-from reports.comparability import kind_of
-from reports.conclusions.answers import CRITERIA
-from reports.page.document import write_report
-from reports.paper.documents import to_text
-from reports.paper.tables import paper_tables
-from reports.schema import records
-from reports.style import label
-from reports.tables.protocols import by_protocol
+from econgs_bench.bench.__main__ import main
+from econgs_bench.bench.api import Runs
+from econgs_bench.bench.bundle import write_bundle
+from econgs_bench.bench.commands.results import print_answers
+from econgs_bench.bench.lineage import Lineage
+from econgs_bench.bench.store import Store
+from econgs_bench.bench.tables import build_tables, derived
+from econgs_bench.methods.registry import Registry
+from econgs_bench.reports.charts import svg
+from econgs_bench.reports.charts.report import Report
+from econgs_bench.reports.charts.sections import charts
+from econgs_bench.reports.comparability import kind_of
+from econgs_bench.reports.conclusions.answers import CRITERIA
+from econgs_bench.reports.page.document import write_report
+from econgs_bench.reports.paper.documents import to_text
+from econgs_bench.reports.paper.tables import paper_tables
+from econgs_bench.reports.schema import records
+from econgs_bench.reports.style import label
+from econgs_bench.reports.tables.protocols import by_protocol
 
 from .planted_store import METHODS, SCENES, VIEWS, Facts, Plant, every, write
 

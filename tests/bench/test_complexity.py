@@ -5,9 +5,9 @@ import lzma
 import numpy as np
 import pytest
 
-from bench.jobs import complexity
-from datasets.transfer import Bump, TransferFunction
-from datasets.volume import Volume
+from econgs_bench.bench.jobs import complexity
+from econgs_bench.datasets.transfer import Bump, TransferFunction
+from econgs_bench.datasets.volume import Volume
 from tests.bench.conftest import plan, suite_file
 
 HALF = TransferFunction("half", (Bump("b", 0.4, 0.5, 1.0, 1.0, (1.0, 0.2, 0.0), 0.6),))

@@ -6,12 +6,19 @@ import re
 
 import pytest
 
-from bench.records import EncodeResult, FitResult, PartitionResult, Record, ViewResult, ViewsResult
-from bench.store import Store
-from bench.tables import stored_tables
-from datasets.errors import DataError, UnknownName
-from datasets.png import read_png
-from reports.schema import joined
+from econgs_bench.bench.records import (
+    EncodeResult,
+    FitResult,
+    PartitionResult,
+    Record,
+    ViewResult,
+    ViewsResult,
+)
+from econgs_bench.bench.store import Store
+from econgs_bench.bench.tables import stored_tables
+from econgs_bench.datasets.errors import DataError, UnknownName
+from econgs_bench.datasets.png import read_png
+from econgs_bench.reports.schema import joined
 
 from .conftest import measured, plan
 

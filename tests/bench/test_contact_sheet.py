@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from bench.__main__ import main
+from econgs_bench.bench.__main__ import main
 
 SMALL = ["--views", "2", "--size", "24"]
 

@@ -1,8 +1,8 @@
 """The suite ``departures`` takes back each departure of ECoNGS from the paper."""
 
-from bench.suites import load_suite
-from methods.econgs.spec import SPEC
-from methods.options import resolve
+from econgs_bench.bench.suites import load_suite
+from econgs_bench.methods.econgs.spec import SPEC
+from econgs_bench.methods.options import resolve
 
 
 def test_every_departure_is_taken_back() -> None:

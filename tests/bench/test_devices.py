@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 import torch
 
-from bench.display import Display
-from bench.experiment import check_device, execute
-from bench.selection import Selection
-from bench.suites import load_suite
-from datasets.errors import DataError
+from econgs_bench.bench.display import Display
+from econgs_bench.bench.experiment import check_device, execute
+from econgs_bench.bench.selection import Selection
+from econgs_bench.bench.suites import load_suite
+from econgs_bench.datasets.errors import DataError
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,10 @@ import signal
 
 import pytest
 
-from bench.__main__ import _with_values, parser
-from bench.disturbed import disturbed_jobs, to_measure_again
-from bench.store import Store, write_text
-from datasets.seals import sealed
+from econgs_bench.bench.__main__ import _with_values, parser
+from econgs_bench.bench.disturbed import disturbed_jobs, to_measure_again
+from econgs_bench.bench.store import Store, write_text
+from econgs_bench.datasets.seals import sealed
 
 from .conftest import PLUGINS, Bench, wait_for, workers
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from datasets.errors import DataError, UnknownName
-from datasets.png import read_png
+from econgs_bench.datasets.errors import DataError, UnknownName
+from econgs_bench.datasets.png import read_png
 
 from .conftest import plan
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from bench.edits import parse_edits
-from datasets.edits import Edit
-from datasets.errors import DataError
+from econgs_bench.bench.edits import parse_edits
+from econgs_bench.datasets.edits import Edit
+from econgs_bench.datasets.errors import DataError
 
 
 def test_edits_of_a_scene_are_joined() -> None:

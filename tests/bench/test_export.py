@@ -6,9 +6,9 @@ import re
 
 import pytest
 
-from bench.__main__ import main
-from bench.store import Store
-from methods.formats import ply, sog, spz
+from econgs_bench.bench.__main__ import main
+from econgs_bench.bench.store import Store
+from econgs_bench.methods.formats import ply, sog, spz
 
 SUITE = """
 title = "t"

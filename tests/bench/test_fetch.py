@@ -9,12 +9,12 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from bench.__main__ import main
-from bench.commands import fetch as command
-from bench.commands.lists import size_text
-from bench.metrics import lpips
-from datasets import download
-from datasets.catalogue import list_datasets, open_dataset
+from econgs_bench.bench.__main__ import main
+from econgs_bench.bench.commands import fetch as command
+from econgs_bench.bench.commands.lists import size_text
+from econgs_bench.bench.metrics import lpips
+from econgs_bench.datasets import download
+from econgs_bench.datasets.catalogue import list_datasets, open_dataset
 from tests.datasets.http_server import CONTENT, serving
 
 ENTRY = """

@@ -4,8 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.metrics.flicker import Flicker, is_dense
-from datasets.camera_paths import test_cameras as cameras_of_the_path
+from econgs_bench.bench.metrics.flicker import Flicker, is_dense
+from econgs_bench.datasets.camera_paths import test_cameras as cameras_of_the_path
 
 
 def flicker(truth, rendered):

@@ -7,12 +7,12 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from bench.identity import FILES
-from bench.lineage import Lineage
-from bench.records import Record
-from bench.tables import derived
-from methods.registry import Registry
-from reports.schema import METRICS
+from econgs_bench.bench.identity import FILES
+from econgs_bench.bench.lineage import Lineage
+from econgs_bench.bench.records import Record
+from econgs_bench.bench.tables import derived
+from econgs_bench.methods.registry import Registry
+from econgs_bench.reports.schema import METRICS
 
 from .planted_store import FLOOR, METHODS, ONE_RAY, SCENES, every
 

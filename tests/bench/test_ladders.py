@@ -10,16 +10,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bench import inputs
-from bench.bundle import verify_bundle, write_bundle
-from bench.jobs.scenes import scene_inputs
-from bench.jobs.truth import Truth
-from bench.records import Request
-from bench.rungs import rungs_of
-from bench.stress import KINDS, part_of, stress_of
-from bench.suites import load_suite
-from datasets.catalogue import open_dataset
-from datasets.errors import DataError, UnknownName
+from econgs_bench.bench import inputs
+from econgs_bench.bench.bundle import verify_bundle, write_bundle
+from econgs_bench.bench.jobs.scenes import scene_inputs
+from econgs_bench.bench.jobs.truth import Truth
+from econgs_bench.bench.records import Request
+from econgs_bench.bench.rungs import rungs_of
+from econgs_bench.bench.stress import KINDS, part_of, stress_of
+from econgs_bench.bench.suites import load_suite
+from econgs_bench.datasets.catalogue import open_dataset
+from econgs_bench.datasets.errors import DataError, UnknownName
 
 from .conftest import plan
 
@@ -202,8 +202,8 @@ def test_bad_ladders_are_refused_by_name(suite, ladder, error, words) -> None:
 @pytest.fixture(scope="module")
 def truth(tmp_path_factory) -> Truth:
     """Ground truth of a small scene, as a views job stores it."""
-    from bench.jobs.truth import write_truth
-    from datasets.cloud import cloud_source
+    from econgs_bench.bench.jobs.truth import write_truth
+    from econgs_bench.datasets.cloud import cloud_source
 
     data = open_dataset("argon_bubble_like@32")
     request = Request(train_views=42, test_views=4, width=16, height=16)
@@ -310,8 +310,8 @@ def test_a_rung_that_breaks_is_repeated(bench, suite) -> None:
 
 
 def test_a_bundle_keeps_its_ladders(bench, suite, tmp_path) -> None:
-    from bench.rungs import FILE
-    from bench.store import Store
+    from econgs_bench.bench.rungs import FILE
+    from econgs_bench.bench.store import Store
 
     bench.run_suite(
         suite('ladders = [{ name = "b", title = "", rungs = ["", "noise=9"] }]'), "--scene", "shock"

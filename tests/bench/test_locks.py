@@ -11,8 +11,8 @@ import textwrap
 import pytest
 from filelock import FileLock, Timeout
 
-from bench.locks import check_locks, holder, lock_file, locked
-from datasets.errors import DataError
+from econgs_bench.bench.locks import check_locks, holder, lock_file, locked
+from econgs_bench.datasets.errors import DataError
 
 from .conftest import PACKAGES
 
@@ -37,7 +37,7 @@ def as_other(code: str, folder) -> subprocess.Popen[str]:
     """A process of another user."""
     environment = {**os.environ, "BENCH_LOCKS": str(folder), "PYTHONPATH": str(PACKAGES)}
     become = (  # after all imports: the interpreter may lie where others may not look
-        "import os, bench.cores, bench.locks\n"
+        "import os, econgs_bench.bench.cores, econgs_bench.bench.locks\n"
         f"if os.getuid() == 0: os.setgroups([]); os.setgid({OTHER}); os.setuid({OTHER})\n"
     )
     return subprocess.Popen(
@@ -54,8 +54,8 @@ def told(process) -> str:
 
 TAKE_ALL = """
 from contextlib import ExitStack
-from bench.cores import claim_cores
-from bench.locks import check_locks, locked
+from econgs_bench.bench.cores import claim_cores
+from econgs_bench.bench.locks import check_locks, locked
 check_locks()
 with locked("timing"):
     pass
@@ -89,8 +89,8 @@ def test_a_lock_that_its_owner_has_closed_names_him(folder) -> None:
     lock_file("timing").touch()
     lock_file("timing").chmod(0o000)
     code = """
-    from bench.locks import check_locks
-    from datasets.errors import DataError
+    from econgs_bench.bench.locks import check_locks
+    from econgs_bench.datasets.errors import DataError
     try:
         check_locks()
     except DataError as error:
@@ -108,7 +108,7 @@ def test_who_holds_a_lock_is_named(folder) -> None:
     other = as_other(
         """
         import sys
-        from bench.locks import locked
+        from econgs_bench.bench.locks import locked
         with locked("timing"):
             print("held", flush=True)
             sys.stdin.read()

@@ -8,10 +8,10 @@ from argparse import Namespace
 
 import pytest
 
-from bench import machine
-from bench.commands import doctor
-from bench.locks import locked
-from bench.machine import Load, clock_cap, measure_load
+from econgs_bench.bench import machine
+from econgs_bench.bench.commands import doctor
+from econgs_bench.bench.locks import locked
+from econgs_bench.bench.machine import Load, clock_cap, measure_load
 
 EVEN = (0.1,) * 20
 

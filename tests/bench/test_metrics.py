@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.metrics import METRICS, evaluate
-from bench.metrics.image import _FUNCTIONS, Pair, to_8bit
-from datasets.errors import DataError
-from reports.schema import COVERAGE
+from econgs_bench.bench.metrics import METRICS, evaluate
+from econgs_bench.bench.metrics.image import _FUNCTIONS, Pair, to_8bit
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.reports.schema import COVERAGE
 
 CHEAP = ["psnr", "psnr_fg", "ssim", "flip", "delta_e_uv"]
 
@@ -38,7 +38,7 @@ def shown(rgba: np.ndarray) -> np.ndarray:
 
 def test_the_registry_imports_nothing_heavy():
     heavy = "('torch', 'numpy', 'skimage', 'PIL')"
-    code = f"import bench.metrics, sys; print([m for m in {heavy} if m in sys.modules])"
+    code = f"import econgs_bench.bench.metrics, sys; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", check=True)
     assert done.stdout.strip() == "[]"
 

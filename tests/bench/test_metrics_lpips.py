@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from bench.metrics import lpips as module
-from bench.metrics.lpips import BACKBONES, checkpoints, declare_torchvision_operators, distance, load
+from econgs_bench.bench.metrics import lpips as module
+from econgs_bench.bench.metrics.lpips import (
+    BACKBONES,
+    checkpoints,
+    declare_torchvision_operators,
+    distance,
+    load,
+)
 
 
 @pytest.fixture

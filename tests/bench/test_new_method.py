@@ -8,8 +8,8 @@ import tomllib
 
 import pytest
 
-from bench.__main__ import main
-from methods.registry import Registry
+from econgs_bench.bench.__main__ import main
+from econgs_bench.methods.registry import Registry
 
 
 def test_the_files_bear_the_name_of_the_method(tmp_path, monkeypatch, capsys) -> None:

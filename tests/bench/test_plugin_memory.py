@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from bench.plugins import ID, plugin_folders, remember
-from bench.store import Store
+from econgs_bench.bench.plugins import ID, plugin_folders, remember
+from econgs_bench.bench.store import Store
 
 PLUGIN = """
-from methods.interface import MethodSpec
+from econgs_bench.methods.interface import MethodSpec
 from pathlib import Path
 
 Path(__file__).with_name("imported").touch()

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.__main__ import main
-from reports.progress import Watch
+from econgs_bench.bench.__main__ import main
+from econgs_bench.reports.progress import Watch
 
 
 @pytest.fixture

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 import torch
 
-from bench.jobs.measure import mean_drawn
-from bench.monitor import as_numpy
-from bench.pruning import by_weight, pruning, removable
-from datasets.views import ViewSet
-from econgs.splat import rasterise
-from econgs.splat.splats import Splats
-from methods.contract.scene import away, look_at
-from methods.interface import HasGaussians
-from reports.schema import PRUNED
+from econgs_bench.bench.jobs.measure import mean_drawn
+from econgs_bench.bench.monitor import as_numpy
+from econgs_bench.bench.pruning import by_weight, pruning, removable
+from econgs_bench.datasets.views import ViewSet
+from econgs_bench.econgs.splat import rasterise
+from econgs_bench.econgs.splat.splats import Splats
+from econgs_bench.methods.contract.scene import away, look_at
+from econgs_bench.methods.interface import HasGaussians
+from econgs_bench.reports.schema import PRUNED
 
 HALF = 16
 SEEN = look_at((0.0, -3.0, 0.0)), look_at((3.0, 0.0, 0.0))

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.bundle import write_bundle
-from bench.limits import Limits
-from bench.redo import VIEWS, Draw, redo
-from bench.store import Store
-from datasets.errors import DataError
-from datasets.png import write_png
-from datasets.seals import sealed, unsealed
+from econgs_bench.bench.bundle import write_bundle
+from econgs_bench.bench.limits import Limits
+from econgs_bench.bench.redo import VIEWS, Draw, redo
+from econgs_bench.bench.store import Store
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.png import write_png
+from econgs_bench.datasets.seals import sealed, unsealed
 
 from .conftest import PLUGINS
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from bench.migration import migrated
-from bench.records import DvrResult, Record, hash_of
-from bench.store import Store, read_record
-from bench.timing import RULERS
+from econgs_bench.bench.migration import migrated
+from econgs_bench.bench.records import DvrResult, Record, hash_of
+from econgs_bench.bench.store import Store, read_record
+from econgs_bench.bench.timing import RULERS
 from tests.bench.conftest import measured, plan
 
 
@@ -24,7 +24,7 @@ def test_another_ruler_measures_again_and_fits_nothing_again(suite, monkeypatch)
     before = keys(text)
     assert before.keys() == {"views", "dvr", "complexity", "fit", "encode", "measure"}
     for part, kinds in (("frame", {"dvr", "measure"}), ("parts", {"measure"})):
-        monkeypatch.setattr("bench.plan.RULERS", RULERS | {part: 99})
+        monkeypatch.setattr("econgs_bench.bench.plan.RULERS", RULERS | {part: 99})
         after = keys(text)
         assert {kind for kind in before if before[kind].isdisjoint(after[kind])} == kinds
         assert {kind for kind in before if before[kind] != after[kind]} == kinds

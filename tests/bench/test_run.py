@@ -12,9 +12,9 @@ import pandas as pd
 import pytest
 from filelock import FileLock
 
-from bench.records import Record
-from datasets.png import read_png
-from reports.schema import TABLES, read_tables
+from econgs_bench.bench.records import Record
+from econgs_bench.datasets.png import read_png
+from econgs_bench.reports.schema import TABLES, read_tables
 
 from .conftest import Bench, suite_file
 

@@ -9,16 +9,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import bench
-from bench.__main__ import main
-from bench.commands.samples import METRICS, NUMBERS
-from bench.jobs import views as views_job
-from bench.jobs.context import Context
-from bench.monitor import Stop
-from bench.selection import Selection
-from bench.store import Store
-from bench.suites import load_suite
-from datasets.errors import DataError
+import econgs_bench as bench
+from econgs_bench.bench.__main__ import main
+from econgs_bench.bench.commands.samples import METRICS, NUMBERS
+from econgs_bench.bench.jobs import views as views_job
+from econgs_bench.bench.jobs.context import Context
+from econgs_bench.bench.monitor import Stop
+from econgs_bench.bench.selection import Selection
+from econgs_bench.bench.store import Store
+from econgs_bench.bench.suites import load_suite
+from econgs_bench.datasets.errors import DataError
 
 from .conftest import plan, suite_file
 

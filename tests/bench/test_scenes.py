@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from bench.__main__ import main
-from bench.commands.scenes import account, without_repeats
-from datasets import procedural
-from datasets.catalogue import open_dataset
-from datasets.scene import Dataset
+from econgs_bench.bench.__main__ import main
+from econgs_bench.bench.commands.scenes import account, without_repeats
+from econgs_bench.datasets import procedural
+from econgs_bench.datasets.catalogue import open_dataset
+from econgs_bench.datasets.scene import Dataset
 
 SMALL = ["--views", "1", "--size", "24"]
 

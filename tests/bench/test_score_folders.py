@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from bench.metrics import METRICS, evaluate
-from bench.metrics.folders import score
-from bench.metrics.lpips import load
-from datasets.errors import DataError
+from econgs_bench.bench.metrics import METRICS, evaluate
+from econgs_bench.bench.metrics.folders import score
+from econgs_bench.bench.metrics.lpips import load
+from econgs_bench.datasets.errors import DataError
 
 
 @pytest.fixture

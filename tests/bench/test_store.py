@@ -13,13 +13,13 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from bench.comparison import compared
-from bench.records import EncodeResult, Job, Record, Request, derived_seed, hash_of
-from bench.store import Store
-from bench.tables import build_tables, share, stored_tables
-from datasets.errors import DataError
-from methods.interface import check_ledger
-from reports.schema import frame, joined, read_tables
+from econgs_bench.bench.comparison import compared
+from econgs_bench.bench.records import EncodeResult, Job, Record, Request, derived_seed, hash_of
+from econgs_bench.bench.store import Store
+from econgs_bench.bench.tables import build_tables, share, stored_tables
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.methods.interface import check_ledger
+from econgs_bench.reports.schema import frame, joined, read_tables
 
 from .conftest import Bench
 
@@ -85,7 +85,7 @@ def test_a_number_that_changed_in_a_record_is_damage_and_an_old_record_is_read(s
 
 
 def test_a_damaged_record_blocks_nothing_and_is_kept(store, capsys) -> None:
-    from bench.__main__ import main
+    from econgs_bench.bench.__main__ import main
 
     whole, torn = _record(), _record(key="4567" * 4)
     for record in (whole, torn):

@@ -15,12 +15,12 @@ from hashlib import sha256
 
 import pytest
 
-from bench.__main__ import main
-from bench.bundle import MANIFEST, write_bundle
-from bench.records import Record
-from bench.store import Store, read_record
-from datasets.errors import DataError
-from datasets.seals import sealed, unsealed
+from econgs_bench.bench.__main__ import main
+from econgs_bench.bench.bundle import MANIFEST, write_bundle
+from econgs_bench.bench.records import Record
+from econgs_bench.bench.store import Store, read_record
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.seals import sealed, unsealed
 from tests.bench.test_bundle import resigned, rewritten
 
 LEAD_OUT = (
@@ -314,7 +314,8 @@ def test_a_small_bundle_takes_little_memory(packed, tmp_path, bomb, command) -> 
     path = deflated(files, tmp_path / "bomb.zip")
     assert path.stat().st_size < 1 << 20
     code = (
-        "import resource, sys; from bench.__main__ import main; import bench.bundle, pandas, bench.tables\n"
+        "import resource, sys; from econgs_bench.bench.__main__ import main\n"
+        "import econgs_bench.bench.bundle, pandas, econgs_bench.bench.tables\n"
         "size = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize() + (500 << 20)\n"
         "resource.setrlimit(resource.RLIMIT_AS, (size, size)); sys.exit(main(sys.argv[1:]))"
     )
@@ -341,7 +342,7 @@ def test_what_unpacks_without_bound_is_refused_unread(packed, tmp_path, method, 
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for other, data in files.items():
             archive.writestr(other, data, method if other == name else zipfile.ZIP_DEFLATED)
-    from bench.bundle import verify_bundle
+    from econgs_bench.bench.bundle import verify_bundle
 
     with pytest.raises(DataError, match="neither stored nor deflated"):
         verify_bundle(path)
@@ -385,8 +386,8 @@ def test_a_stored_picture_is_a_png_of_bounded_size(finished, tmp_path, kind) -> 
     """Pillow starts Ghostscript for EPS, whatever the name of the file."""
     from PIL import Image
 
-    from datasets.png import read_png
-    from reports.pictures.files import read
+    from econgs_bench.datasets.png import read_png
+    from econgs_bench.reports.pictures.files import read
 
     path = next(finished.store.glob("jobs/measure-*/renders/*.png"))
     if kind == "EPS":
@@ -404,7 +405,7 @@ def test_a_stored_picture_is_a_png_of_bounded_size(finished, tmp_path, kind) -> 
 
 
 def test_stored_truth_takes_no_more_than_its_file_allows(finished) -> None:
-    from bench.jobs.truth import Truth
+    from econgs_bench.bench.jobs.truth import Truth
 
     (folder,) = (path.parent for path in finished.store.glob("jobs/views-*/record.json"))
     changed(
@@ -434,7 +435,7 @@ def test_no_file_of_a_bundle_leads_out_of_it(packed, tmp_path, name) -> None:
         files[name] = b"payload"
         resigned(files)
 
-    from bench.bundle import unpack
+    from econgs_bench.bench.bundle import unpack
 
     folder = tmp_path / "here" / "unpacked"
     folder.mkdir(parents=True)
@@ -445,7 +446,7 @@ def test_no_file_of_a_bundle_leads_out_of_it(packed, tmp_path, name) -> None:
 
 
 def test_the_bytes_that_are_hashed_are_those_that_are_unpacked(packed, tmp_path) -> None:
-    from bench.bundle import unpack
+    from econgs_bench.bench.bundle import unpack
 
     (tmp_path / "unpacked").mkdir()
     assert unpack(packed, tmp_path / "unpacked").problems == []

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import pytest
 
-from bench.edits import edits_of
-from bench.plan import Planner
-from bench.selection import Selection
-from bench.suites import VIEWS, load_suite, names
-from datasets.catalogue import list_datasets
-from datasets.errors import DataError, UnknownName
-from reports.paper.layouts import layouts, published_as, takes
+from econgs_bench.bench.edits import edits_of
+from econgs_bench.bench.plan import Planner
+from econgs_bench.bench.selection import Selection
+from econgs_bench.bench.suites import VIEWS, load_suite, names
+from econgs_bench.datasets.catalogue import list_datasets
+from econgs_bench.datasets.errors import DataError, UnknownName
+from econgs_bench.reports.paper.layouts import layouts, published_as, takes
 from tests.bench.conftest import plan, suite_file
 
 BUILT_IN = {info.name for info in list_datasets() if info.kind == "procedural"}
@@ -44,8 +44,8 @@ def test_without_data_a_suite_names_scenes_that_its_datasets_have(name):
 
 @pytest.mark.parametrize("name", ["design", "storage", "hyperparameters", "threshold", "init-points"])
 def test_variants_of_a_suite_are_options_that_methods_have(name, monkeypatch):
-    monkeypatch.setattr("bench.selection.subsets", lambda *_: [])
-    monkeypatch.setattr("bench.plan.subsets", lambda *_: [])
+    monkeypatch.setattr("econgs_bench.bench.selection.subsets", lambda *_: [])
+    monkeypatch.setattr("econgs_bench.bench.plan.subsets", lambda *_: [])
     suite = load_suite(name)
     planner = Planner(Selection(suite), {})
     assert len(planner._settings) == len(suite.variants)

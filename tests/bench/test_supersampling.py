@@ -11,29 +11,29 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bench import api
-from bench.bundle import write_bundle
-from bench.plan import Planner
-from bench.redo import redo
-from bench.saved import load
-from bench.selection import Selection
-from bench.store import Store
-from bench.suites import load_suite
-from bench.supersampling import Supersampled, drawn_as
-from datasets.camera import Camera
-from datasets.errors import DataError
-from methods import reference
-from methods.interface import HasAttributes, HasDecoders
-from methods.options import resolve
-from methods.registry import Registry
-from reports.charts.report import Report
+from econgs_bench.bench import api
+from econgs_bench.bench.bundle import write_bundle
+from econgs_bench.bench.plan import Planner
+from econgs_bench.bench.redo import redo
+from econgs_bench.bench.saved import load
+from econgs_bench.bench.selection import Selection
+from econgs_bench.bench.store import Store
+from econgs_bench.bench.suites import load_suite
+from econgs_bench.bench.supersampling import Supersampled, drawn_as
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.methods import reference
+from econgs_bench.methods.interface import HasAttributes, HasDecoders
+from econgs_bench.methods.options import resolve
+from econgs_bench.methods.registry import Registry
+from econgs_bench.reports.charts.report import Report
 
 from .conftest import SMALL, suite_file
 
 BOTH = ({}, {"plenoxels": {"samples": 16}})
 TOY = """
     from dataclasses import dataclass
-    from methods.interface import MethodSpec, RateKnob, option
+    from econgs_bench.methods.interface import MethodSpec, RateKnob, option
 
     @dataclass(frozen=True)
     class Options:
@@ -47,7 +47,7 @@ TOY = """
 """
 STRIPES = """
     import numpy as np
-    from methods.interface import Checkpoint
+    from econgs_bench.methods.interface import Checkpoint
 
     class Stripes:
         scenes = ("a",)
@@ -171,7 +171,7 @@ def test_a_drawing_that_the_user_sets_has_all_rates_and_lengths():
 
 def test_jobs_of_one_sample_have_the_keys_of_before(toys, tmp_path, monkeypatch):
     """The keys were computed at commit 94dde38, which knew no samples, with the same plugin and suite."""
-    monkeypatch.setattr("bench.plan.RULERS", {"frame": 2, "parts": 3})
+    monkeypatch.setattr("econgs_bench.bench.plan.RULERS", {"frame": 2, "parts": 3})
     chosen = replace(load_suite(suite_file(tmp_path, SMALL)), variants=({}, {"drawn-toy": {"samples": 16}}))
     selection = Selection(chosen, methods=("drawn-toy",), samples=1, plugins=(toys,))
     planned = Planner(selection, {"psnr": "1"}).jobs(None)

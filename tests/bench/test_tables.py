@@ -8,15 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from bench.migration import migrated
-from bench.records import SCHEMA, PruningResult, Record
-from bench.tables import stored_tables
-from datasets.seals import unsealed
-from methods.gaussian_splatting.spec import SPEC
-from methods.interface import RateKnob, option
-from methods.options import label, resolve
-from reports.curves import at_default_rates, curves
-from reports.schema import PRUNED, joined, read_tables
+from econgs_bench.bench.migration import migrated
+from econgs_bench.bench.records import SCHEMA, PruningResult, Record
+from econgs_bench.bench.tables import stored_tables
+from econgs_bench.datasets.seals import unsealed
+from econgs_bench.methods.gaussian_splatting.spec import SPEC
+from econgs_bench.methods.interface import RateKnob, option
+from econgs_bench.methods.options import label, resolve
+from econgs_bench.reports.curves import at_default_rates, curves
+from econgs_bench.reports.schema import PRUNED, joined, read_tables
 from tests.bench.test_versions import version
 
 MEASURED = sorted((Path(__file__).parents[2] / "reports" / "measured").glob("*.zip"))

@@ -12,15 +12,15 @@ from pathlib import Path
 
 import pytest
 
-from bench.__main__ import main
-from datasets.seals import sealed, unsealed
-from reports.terminal import LOST, terminal
+from econgs_bench.bench.__main__ import main
+from econgs_bench.datasets.seals import sealed, unsealed
+from econgs_bench.reports.terminal import LOST, terminal
 from tests.bench.conftest import Bench
 
 
 def shell(bench: Bench, line: str, **environment: str) -> subprocess.CompletedProcess[bytes]:
     """A line of a shell in which ``$BENCH`` is the command."""
-    command = " ".join((sys.executable, "-m", "bench"))
+    command = " ".join((sys.executable, "-m", "econgs_bench.bench"))
     return subprocess.run(
         ["bash", "-c", line.replace("$BENCH", command)],
         env={**bench.environment, **environment}, cwd=bench.store.parent, capture_output=True,
@@ -162,7 +162,7 @@ def test_colors_of_rich_pass_and_the_streams_come_back(capsys) -> None:
 
 
 def test_the_log_of_a_job_is_utf8_whatever_the_terminal_has(bench: Bench, tmp_path: Path) -> None:
-    from bench.runner import _environment
+    from econgs_bench.bench.runner import _environment
 
     code = "print('\N{MULTIPLICATION SIGN}\\udce9')"
     done = subprocess.run(

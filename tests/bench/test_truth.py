@@ -10,25 +10,25 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bench import tables
-from bench.jobs import scenes
-from bench.jobs import views as views_job
-from bench.jobs.context import Context
-from bench.jobs.fit import read_volumes, refuse_without_volume
-from bench.jobs.truth import Truth, write_truth
-from bench.monitor import Stop
-from bench.records import Record, derived_seed
-from bench.store import Store
-from datasets import scratch
-from datasets.camera import Camera
-from datasets.catalogue import open_dataset
-from datasets.cloud import cloud_source, initial_cloud
-from datasets.errors import DataError
-from datasets.render_views import views_of
-from datasets.views import ViewRequest, ViewSet
-from methods.contract.scene import tiny_scene
-from methods.gaussian_splatting.spec import SPEC
-from methods.interface import Refused
+from econgs_bench.bench import tables
+from econgs_bench.bench.jobs import scenes
+from econgs_bench.bench.jobs import views as views_job
+from econgs_bench.bench.jobs.context import Context
+from econgs_bench.bench.jobs.fit import read_volumes, refuse_without_volume
+from econgs_bench.bench.jobs.truth import Truth, write_truth
+from econgs_bench.bench.monitor import Stop
+from econgs_bench.bench.records import Record, derived_seed
+from econgs_bench.bench.store import Store
+from econgs_bench.datasets import scratch
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.catalogue import open_dataset
+from econgs_bench.datasets.cloud import cloud_source, initial_cloud
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.render_views import views_of
+from econgs_bench.datasets.views import ViewRequest, ViewSet
+from econgs_bench.methods.contract.scene import tiny_scene
+from econgs_bench.methods.gaussian_splatting.spec import SPEC
+from econgs_bench.methods.interface import Refused
 
 from .conftest import plan
 

@@ -14,20 +14,29 @@ import numpy as np
 import pytest
 from optuna._hypervolume import compute_hypervolume
 
-from bench import tune
-from bench.__main__ import main
-from bench.commands import tune as command_line
-from bench.records import EncodeResult, FitResult, Job, Record, ViewsResult
-from bench.selection import Selection
-from bench.store import Store
-from bench.suites import load_suite
-from bench.tables import build_tables
-from bench.tune import Point, Trial, Trials, front, hypervolume, objective_of, range_of, search_space
-from bench.worker import now
-from datasets.errors import DataError, UnknownName
-from methods.interface import OPTION, PRESETS, Option
-from methods.options import parse_assignments, resolve
-from methods.registry import Registry, check_spec
+from econgs_bench.bench import tune
+from econgs_bench.bench.__main__ import main
+from econgs_bench.bench.commands import tune as command_line
+from econgs_bench.bench.records import EncodeResult, FitResult, Job, Record, ViewsResult
+from econgs_bench.bench.selection import Selection
+from econgs_bench.bench.store import Store
+from econgs_bench.bench.suites import load_suite
+from econgs_bench.bench.tables import build_tables
+from econgs_bench.bench.tune import (
+    Point,
+    Trial,
+    Trials,
+    front,
+    hypervolume,
+    objective_of,
+    range_of,
+    search_space,
+)
+from econgs_bench.bench.worker import now
+from econgs_bench.datasets.errors import DataError, UnknownName
+from econgs_bench.methods.interface import OPTION, PRESETS, Option
+from econgs_bench.methods.options import parse_assignments, resolve
+from econgs_bench.methods.registry import Registry, check_spec
 
 from .conftest import PATIENCE, PLUGINS, measured, plan, runs, workers
 

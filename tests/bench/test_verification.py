@@ -16,11 +16,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.bundle import MANIFEST, verdict, verify_bundle, write_bundle
-from bench.metrics.image import Pair, psnr, ssim
-from bench.store import Store
-from bench.verification import LEAST_ITERATION_SECONDS, least_ssim
-from datasets.seals import sealed, unsealed
+from econgs_bench.bench.bundle import MANIFEST, verdict, verify_bundle, write_bundle
+from econgs_bench.bench.metrics.image import Pair, psnr, ssim
+from econgs_bench.bench.store import Store
+from econgs_bench.bench.verification import LEAST_ITERATION_SECONDS, least_ssim
+from econgs_bench.datasets.seals import sealed, unsealed
 
 HONEST = Path(__file__).resolve().parents[2] / "reports" / "measured" / "gpu-probe.zip"
 VIEWS = 24

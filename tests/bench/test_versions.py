@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import pytest
 
-from bench.records import (
+from econgs_bench.bench.records import (
     CurvePoint,
     EncodeResult,
     FitResult,
@@ -17,14 +17,14 @@ from bench.records import (
     Request,
     hash_of,
 )
-from bench.store import Store
-from bench.tables import build_tables, stored_tables
-from bench.versions import changes
-from methods.interface import MethodSpec, option
-from reports.comparability import notes
-from reports.style import label
-from reports.tables.means import summary
-from reports.tables.protocols import by_protocol
+from econgs_bench.bench.store import Store
+from econgs_bench.bench.tables import build_tables, stored_tables
+from econgs_bench.bench.versions import changes
+from econgs_bench.methods.interface import MethodSpec, option
+from econgs_bench.reports.comparability import notes
+from econgs_bench.reports.style import label
+from econgs_bench.reports.tables.means import summary
+from econgs_bench.reports.tables.protocols import by_protocol
 from tests.bench.conftest import measured
 
 REQUEST = Request(train_views=12, test_views=4, width=8, height=8)

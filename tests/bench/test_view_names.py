@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from bench.comparison import compared
-from bench.gate.cells import cells_of
-from bench.store import Store
-from bench.tables import build_tables
-from datasets.errors import DataError
-from datasets.seals import sealed, unsealed
-from reports.pictures.strips import views_of_jobs
+from econgs_bench.bench.comparison import compared
+from econgs_bench.bench.gate.cells import cells_of
+from econgs_bench.bench.store import Store
+from econgs_bench.bench.tables import build_tables
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.seals import sealed, unsealed
+from econgs_bench.reports.pictures.strips import views_of_jobs
 from tests.bench.conftest import Bench, plan, suite_file, write_dataset
 
 

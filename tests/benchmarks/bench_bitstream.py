@@ -18,11 +18,17 @@ import numpy as np
 import torch
 from turns import interleaved
 
-from datasets.cloud import read_ply
-from econgs.context.model import Attributes, ContextConfig, ContextModel
-from econgs.context.positions import PositionGrid, encode_positions, morton_order
-from econgs.context.stream import CodedContext, GroupAttributes, SceneAttributes, decode_group, encode_group
-from econgs.splat import native
+from econgs_bench.datasets.cloud import read_ply
+from econgs_bench.econgs.context.model import Attributes, ContextConfig, ContextModel
+from econgs_bench.econgs.context.positions import PositionGrid, encode_positions, morton_order
+from econgs_bench.econgs.context.stream import (
+    CodedContext,
+    GroupAttributes,
+    SceneAttributes,
+    decode_group,
+    encode_group,
+)
+from econgs_bench.econgs.splat import native
 
 VOXEL = 0.001
 

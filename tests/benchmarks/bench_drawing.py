@@ -9,14 +9,14 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from bench.api import Runs
-from bench.saved import load
-from bench.store import Store
-from datasets.camera import Camera
-from datasets.catalogue import open_dataset
-from datasets.render_views import cameras_of
-from datasets.views import ViewRequest
-from methods.interface import Model
+from econgs_bench.bench.api import Runs
+from econgs_bench.bench.saved import load
+from econgs_bench.bench.store import Store
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.catalogue import open_dataset
+from econgs_bench.datasets.render_views import cameras_of
+from econgs_bench.datasets.views import ViewRequest
+from econgs_bench.methods.interface import Model
 from tests.benchmarks.turns import heading, interleaved, row
 
 WIDTHS = (200, 400, 800)

@@ -21,16 +21,16 @@ from unittest.mock import patch
 
 import torch
 
-import methods.econgs.training as training
-from bench.jobs.scenes import camera_extent
-from datasets.catalogue import open_dataset
-from datasets.cloud import initial_cloud
-from datasets.render_views import views_of
-from datasets.views import ViewRequest
-from methods.econgs.spec import SPEC
-from methods.econgs.training import Trainer
-from methods.interface import SceneInput
-from methods.options import resolve
+import econgs_bench.methods.econgs.training as training
+from econgs_bench.bench.jobs.scenes import camera_extent
+from econgs_bench.datasets.catalogue import open_dataset
+from econgs_bench.datasets.cloud import initial_cloud
+from econgs_bench.datasets.render_views import views_of
+from econgs_bench.datasets.views import ViewRequest
+from econgs_bench.methods.econgs.spec import SPEC
+from econgs_bench.methods.econgs.training import Trainer
+from econgs_bench.methods.interface import SceneInput
+from econgs_bench.methods.options import resolve
 
 PARTS = ("decode", "rasterise", "loss", "context model", "backward", "optimiser")
 decode = training.decode

@@ -18,7 +18,7 @@ import tempfile
 from datetime import datetime
 from pathlib import Path
 
-from bench.store import Store
+from econgs_bench.bench.store import Store
 
 ROOT = Path(__file__).resolve().parents[2]
 SUITE = """title = "t"
@@ -41,7 +41,16 @@ prerendered_limit = 128
 def seconds(folder: Path, suite: Path, *more: str) -> tuple[float, int]:
     """Time of a sweep without its views, and its number of jobs."""
     out = Path(tempfile.mkdtemp(dir=folder))
-    command = [sys.executable, "-m", "bench", "run", str(suite), "--out", str(out), "--no-report"]
+    command = [
+        sys.executable,
+        "-m",
+        "econgs_bench.bench",
+        "run",
+        str(suite),
+        "--out",
+        str(out),
+        "--no-report",
+    ]
     plugins = ("--plugins", str(ROOT / "tests" / "bench" / "plugins"))
     environment = os.environ | {"PYTHONPATH": str(ROOT), "BENCH_CACHE": str(folder / "cache")}
     done = subprocess.run(

@@ -22,15 +22,15 @@ import torch
 from scipy.ndimage import gaussian_filter
 from turns import Time, heading, interleaved, row
 
-from bench.provenance import cpu
-from bench.timing import available_cores
-from datasets.camera import Camera
-from datasets.ground_truth import probe
-from datasets.ground_truth.model import Draw, Layer, MarchSettings
-from datasets.ground_truth.reference import ReferenceMarcher
-from datasets.scene import Light
-from datasets.transfer import Bump, TransferFunction
-from datasets.volume import Volume
+from econgs_bench.bench.provenance import cpu
+from econgs_bench.bench.timing import available_cores
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.ground_truth import probe
+from econgs_bench.datasets.ground_truth.model import Draw, Layer, MarchSettings
+from econgs_bench.datasets.ground_truth.reference import ReferenceMarcher
+from econgs_bench.datasets.scene import Light
+from econgs_bench.datasets.transfer import Bump, TransferFunction
+from econgs_bench.datasets.volume import Volume
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "datasets"))
 import marching

@@ -16,11 +16,11 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from turns import heading, interleaved, row
 
-from datasets.ground_truth.model import Layer, MarchSettings
-from datasets.ground_truth.reference import ReferenceMarcher
-from datasets.scene import Isosurface, Light
-from datasets.transfer import Bump, TransferFunction
-from datasets.volume import Volume
+from econgs_bench.datasets.ground_truth.model import Layer, MarchSettings
+from econgs_bench.datasets.ground_truth.reference import ReferenceMarcher
+from econgs_bench.datasets.scene import Isosurface, Light
+from econgs_bench.datasets.transfer import Bump, TransferFunction
+from econgs_bench.datasets.volume import Volume
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "datasets"))
 from marching import around, mitsuba

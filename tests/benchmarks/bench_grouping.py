@@ -10,9 +10,9 @@ import time
 
 import numpy as np
 
-from datasets.catalogue import open_dataset
-from datasets.cloud import initial_cloud
-from econgs.grouping import chamfer_distances, cluster
+from econgs_bench.datasets.catalogue import open_dataset
+from econgs_bench.datasets.cloud import initial_cloud
+from econgs_bench.econgs.grouping import chamfer_distances, cluster
 
 
 def main() -> None:

@@ -34,7 +34,7 @@ from typing import Any
 import numpy as np
 from turns import heading, row
 
-from bench.provenance import cpu
+from econgs_bench.bench.provenance import cpu
 
 Part = dict[str, float]
 Parts = dict[str, Part]
@@ -103,14 +103,14 @@ def anonymous_bytes() -> int:
 
 def volume(folder: Path, n: int) -> Parts:
     """A volume file: reading, hash, cloud, set-up of the marcher, views of 400²."""
-    from datasets.camera_paths import training_cameras
-    from datasets.cloud import cloud_source
-    from datasets.ground_truth import probe
-    from datasets.ground_truth.model import Layer
-    from datasets.readers import read_volume
-    from datasets.render_views import marcher_of, volume_digest
-    from datasets.scene import BasicScene, Dataset
-    from datasets.transfer import Bump, TransferFunction
+    from econgs_bench.datasets.camera_paths import training_cameras
+    from econgs_bench.datasets.cloud import cloud_source
+    from econgs_bench.datasets.ground_truth import probe
+    from econgs_bench.datasets.ground_truth.model import Layer
+    from econgs_bench.datasets.readers import read_volume
+    from econgs_bench.datasets.render_views import marcher_of, volume_digest
+    from econgs_bench.datasets.scene import BasicScene, Dataset
+    from econgs_bench.datasets.transfer import Bump, TransferFunction
 
     shell = Bump("shell", 0.55, 0.57, 0.63, 0.65, (0.9, 0.5, 0.3), 0.5)
     scene = BasicScene("shells", "value", TransferFunction("shells", (shell,)))
@@ -153,8 +153,8 @@ def frames(count: int, size: int) -> Parts:
     """A frame of Gaussians in a ball, with gradients; the more of them, the smaller each."""
     import torch
 
-    from datasets.camera import Camera
-    from econgs.splat import rasterise
+    from econgs_bench.datasets.camera import Camera
+    from econgs_bench.econgs.splat import rasterise
 
     torch.set_num_threads(1)
     random = np.random.default_rng(7)
@@ -199,14 +199,14 @@ def group(
         size: of a picture.
         streamed: whether pictures lie in memory or in a file; None: as the rule has it.
     """
-    from bench.jobs.scenes import camera_extent
-    from datasets import scratch
-    from datasets.catalogue import open_dataset
-    from datasets.cloud import initial_cloud
-    from datasets.render_views import views_of
-    from datasets.view_files import images_bytes, read_views, write_views
-    from datasets.views import ViewRequest, ViewSet
-    from methods.interface import SceneInput
+    from econgs_bench.bench.jobs.scenes import camera_extent
+    from econgs_bench.datasets import scratch
+    from econgs_bench.datasets.catalogue import open_dataset
+    from econgs_bench.datasets.cloud import initial_cloud
+    from econgs_bench.datasets.render_views import views_of
+    from econgs_bench.datasets.view_files import images_bytes, read_views, write_views
+    from econgs_bench.datasets.views import ViewRequest, ViewSet
+    from econgs_bench.methods.interface import SceneInput
 
     dataset = open_dataset(dataset_name)
     stored = []
@@ -268,9 +268,9 @@ def fit(
     """What a fit with the options of preset quick costs, and what it comes to."""
     import torch
 
-    from methods.interface import Budget
-    from methods.options import resolve
-    from methods.registry import Registry, load_method
+    from econgs_bench.methods.interface import Budget
+    from econgs_bench.methods.options import resolve
+    from econgs_bench.methods.registry import Registry, load_method
 
     torch.set_num_threads(1)
     spec = Registry().spec(method)

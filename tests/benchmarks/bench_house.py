@@ -146,7 +146,7 @@ def main() -> None:
         "BENCH_CACHE": str(folder / "cache"),
         "BENCH_LOCKS": str(folder / "locks"),
     }
-    bench = [sys.executable, "-m", "bench"]
+    bench = [sys.executable, "-m", "econgs_bench.bench"]
     try:
         for what in ("methods", "datasets", "suites", "metrics"):
             times = [run([*bench, "list", what], environment, folder)[:2] for _ in range(5)]

@@ -1,8 +1,10 @@
-"""Reading volumes: time and memory of this checkout against another one, by format.
+"""Reading volumes: time and memory of this installation against another one, by format.
 
-python tests/benchmarks/bench_reading.py --against CHECKOUT [--samples 256] [--turns 5]
+python tests/benchmarks/bench_reading.py --against PYTHON [--samples 256] [--turns 5]
 
-Each reading is a process of its own, and the two checkouts take turns. Its time is that of the second call,
+PYTHON is the interpreter of an environment with the other commit.
+
+Each reading is a process of its own, and the two take turns. Its time is that of the second call,
 as the first imports what it needs; its memory is the peak of the process.
 """
 
@@ -10,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import statistics
 import subprocess
 import sys
@@ -22,18 +23,19 @@ import numpy as np
 from numpy.typing import NDArray
 from turns import heading, row
 
-ROOT = Path(__file__).resolve().parents[2]
 READ = """
 import json, sys, time
-# An editable installation would be found before the path.
-sys.meta_path = [one for one in sys.meta_path if "editable" not in getattr(one, "__module__", "")]
-import datasets.memory, datasets.readers
-assert datasets.readers.__file__.startswith(sys.path[0])
-datasets.readers.read_volume(sys.argv[1])  # imports what it needs
+try:
+    from econgs_bench.datasets.memory import peak_host_bytes
+    from econgs_bench.datasets.readers import read_volume
+except ImportError:  # before packages had one name
+    from datasets.memory import peak_host_bytes
+    from datasets.readers import read_volume
+read_volume(sys.argv[1])  # imports what it needs
 start, cpu = time.perf_counter(), time.process_time()
-volume = datasets.readers.read_volume(sys.argv[1])
+volume = read_volume(sys.argv[1])
 print(json.dumps([time.perf_counter() - start, time.process_time() - cpu]))
-print(datasets.memory.peak_host_bytes())
+print(peak_host_bytes())
 """
 
 
@@ -44,10 +46,13 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for name, write in FORMATS.items():
             path = write(Path(folder), _values(samples))
-            measured: dict[Path, list[tuple[float, float, float]]] = {ROOT: [], arguments.against: []}
+            measured: dict[str, list[tuple[float, float, float]]] = {
+                sys.executable: [],
+                arguments.against: [],
+            }
             for turn in range(arguments.turns + 1):
-                for checkout, found in measured.items():
-                    one = _read(checkout, path)
+                for python, found in measured.items():
+                    one = _read(python, path)
                     if turn:
                         found.append(one)
             here, there = (
@@ -60,7 +65,7 @@ def main() -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--against", type=Path, required=True, help="the other checkout")
+    parser.add_argument("--against", required=True, help="the other interpreter")
     parser.add_argument("--samples", type=int, default=256, help="along each axis")
     parser.add_argument("--turns", type=int, default=5)
     return parser
@@ -74,12 +79,11 @@ def _values(samples: int) -> NDArray[np.float32]:
     return np.asarray(field + noise, np.float32)
 
 
-def _read(checkout: Path, path: Path) -> tuple[float, float, float]:
+def _read(python: str, path: Path) -> tuple[float, float, float]:
     """Seconds, seconds of the processor and bytes of one reading."""
     found = subprocess.run(
-        [sys.executable, "-P", "-c", f"import sys; sys.path.insert(0, {str(checkout)!r})\n{READ}", str(path)],
-        capture_output=True, text=True, check=True, cwd="/", env={**os.environ, "PYTHONPATH": ""},
-    )  # fmt: skip
+        [python, "-P", "-c", READ, str(path)], capture_output=True, text=True, check=True, cwd="/"
+    )
     times, memory = found.stdout.splitlines()
     wall, cpu = json.loads(times)
     return wall, cpu, float(memory)

@@ -21,11 +21,11 @@ from torch import Tensor
 from torch.nn import functional
 from turns import Time, heading, interleaved, row
 
-from bench.provenance import cpu
-from datasets.camera import Camera
-from econgs.losses import photometric_loss, torch_ssim
-from econgs.optim import Adam
-from econgs.splat import native, rasterise, spherical_harmonics
+from econgs_bench.bench.provenance import cpu
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.econgs.losses import photometric_loss, torch_ssim
+from econgs_bench.econgs.optim import Adam
+from econgs_bench.econgs.splat import native, rasterise, spherical_harmonics
 
 RATIOS = ("ratio", "ratio of shortest")
 SCENES = {"10 k, 200²": (10_000, 200), "50 k, 400²": (50_000, 400)}

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
 
-from bench.api import Runs
+from econgs_bench.bench.api import Runs
 
 VISIBLE = 0.02  # alpha
 PIXELS = 4

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from datasets.ground_truth.reference import ReferenceMarcher
-from datasets.view_cache import ViewCache
+from econgs_bench.datasets.ground_truth.reference import ReferenceMarcher
+from econgs_bench.datasets.view_cache import ViewCache
 from tests.datasets.forked import use_forks
 from tests.datasets.marching import mitsuba
 

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from datasets.errors import DataError
-from datasets.readers import read_volume
-from datasets.volume import Volume
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers import read_volume
+from econgs_bench.datasets.volume import Volume
 
 PROPERTY = settings(
     max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]

@@ -13,14 +13,14 @@ from typing import Any
 
 import pytest
 
-from datasets.readers import sandbox
-from datasets.readers.child import __main__ as child
+from econgs_bench.datasets.readers import sandbox
+from econgs_bench.datasets.readers.child import __main__ as child
 
 _M_PERTURB = -6  # of glibc's malloc: new memory is filled with a byte
 
 
 class Fork:
-    """What :mod:`datasets.readers.sandbox` needs of a ``Popen``.
+    """What :mod:`.datasets.readers.sandbox` needs of a ``Popen``.
 
     Args:
         perturb: byte that fills new memory of the child, so that garbage differs between two values of it.
@@ -69,7 +69,7 @@ def use_forks(monkeypatch: pytest.MonkeyPatch, perturb: int = 0) -> None:
 
     def start(options: list[str], stderr: Any) -> Fork:
         library, path = options[:2]
-        module = import_module(f"datasets.readers.child.{library}")
+        module = import_module(f"econgs_bench.datasets.readers.child.{library}")
         if library == "vtk_data":
             reader = module.READERS[module.suffix_of(Path(path), set(module.READERS))]
             import_module(f"vtkmodules.{reader.partition('.')[0]}")

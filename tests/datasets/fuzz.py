@@ -26,9 +26,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.errors import DataError
-from datasets.readers import list_variables, read_volume, sandbox
-from datasets.volume import Volume
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers import list_variables, read_volume, sandbox
+from econgs_bench.datasets.volume import Volume
 from tests.datasets.damage import KINDS, Outcome, damage
 from tests.datasets.forked import use_forks
 

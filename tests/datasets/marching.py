@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from datasets.camera import Camera
-from datasets.camera_paths import look_at_origin, training_cameras
-from datasets.ground_truth import probe
-from datasets.ground_truth.model import MarchSettings
-from datasets.ground_truth.reference import ReferenceMarcher
-from datasets.scene import Light
-from datasets.volume import Volume
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.camera_paths import look_at_origin, training_cameras
+from econgs_bench.datasets.ground_truth import probe
+from econgs_bench.datasets.ground_truth.model import MarchSettings
+from econgs_bench.datasets.ground_truth.reference import ReferenceMarcher
+from econgs_bench.datasets.scene import Light
+from econgs_bench.datasets.volume import Volume
 
 HEAD = Light()
 FIXED = Light(direction=(0.6, 0.0, 0.8), ambient=0.2, diffuse=0.6, specular=0.3, shininess=12.5)
@@ -42,7 +42,7 @@ def mitsuba(v, settings=MarchSettings(), **options):  # noqa: B008
     if backend.name == "none":
         pytest.fail(f"Mitsuba has no backend: {backend.reason}. {probe.REMEDY}")
     probe.activate(backend)
-    from datasets.ground_truth.mitsuba_marcher import MitsubaMarcher
+    from econgs_bench.datasets.ground_truth.mitsuba_marcher import MitsubaMarcher
 
     return MitsubaMarcher(v, settings, **options)
 

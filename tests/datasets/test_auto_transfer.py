@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.ndimage import map_coordinates
 
-from datasets import procedural
-from datasets.auto_transfer import automatic_scenes, statistics
-from datasets.catalogue import open_dataset
-from datasets.errors import DataError
-from datasets.transfer import Bump, TransferFunction
-from datasets.visibility import LEAST_WEIGHT, Samples, overlaps
-from datasets.volume import Volume
+from econgs_bench.datasets import procedural
+from econgs_bench.datasets.auto_transfer import automatic_scenes, statistics
+from econgs_bench.datasets.catalogue import open_dataset
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.transfer import Bump, TransferFunction
+from econgs_bench.datasets.visibility import LEAST_WEIGHT, Samples, overlaps
+from econgs_bench.datasets.volume import Volume
 
 
 def _volume(values: np.ndarray) -> Volume:

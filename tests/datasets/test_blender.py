@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from datasets.blender import read_transforms
-from datasets.camera import Camera
-from datasets.camera_paths import training_cameras
-from datasets.errors import DataError
-from datasets.png import read_png
-from datasets.prerendered import load_views
-from datasets.views import ViewRequest, evenly_spaced
+from econgs_bench.datasets.blender import read_transforms
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.camera_paths import training_cameras
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.png import read_png
+from econgs_bench.datasets.prerendered import load_views
+from econgs_bench.datasets.views import ViewRequest, evenly_spaced
 from tests.datasets.damage import check_damage
 from tests.datasets.views_folder import random_views, write_transforms
 

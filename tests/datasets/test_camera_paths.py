@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from datasets import camera_paths
-from datasets.camera import pixel_size
-from datasets.camera_paths import icosphere, spiral, training_cameras
-from datasets.errors import DataError
+from econgs_bench.datasets import camera_paths
+from econgs_bench.datasets.camera import pixel_size
+from econgs_bench.datasets.camera_paths import icosphere, spiral, training_cameras
+from econgs_bench.datasets.errors import DataError
 
 
 def degrees_between(a, b):

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.catalogue import entries, list_datasets, open_dataset
-from datasets.catalogue.files import safe_name
-from datasets.errors import DataError, UnknownName
+from econgs_bench.datasets.catalogue import entries, list_datasets, open_dataset
+from econgs_bench.datasets.catalogue.files import safe_name
+from econgs_bench.datasets.errors import DataError, UnknownName
 
 ALL = {"vortices", "vortices_fuzzy", "shells", "shells_pale", "jet_flame_iso", "vis_male", "fuel", "nucleon",
        "hydrogen_atom", "boston_teapot", "csafe_heptane",
@@ -21,7 +21,8 @@ ALL = {"vortices", "vortices_fuzzy", "shells", "shells_pale", "jet_flame_iso", "
 
 def test_every_set_is_listed_without_numpy() -> None:
     code = (
-        "import sys; from datasets.catalogue import list_datasets; print(*[d.name for d in list_datasets()]);"
+        "import sys; from econgs_bench.datasets.catalogue import list_datasets;"
+        "print(*[d.name for d in list_datasets()]);"
         "print([m for m in ('numpy', 'torch', 'mitsuba', 'nibabel') if m in sys.modules])"
     )
     names, heavy = subprocess.check_output([sys.executable, "-c", code], encoding="utf-8").splitlines()
@@ -141,8 +142,8 @@ def test_safe_names() -> None:
 
 
 def test_scenes_may_be_isosurfaces_and_depth_enhanced() -> None:
-    from datasets.catalogue.opening import _scenes
-    from datasets.scene import Isosurface
+    from econgs_bench.datasets.catalogue.opening import _scenes
+    from econgs_bench.datasets.scene import Isosurface
 
     table = tomllib.loads("""
         [[scenes]]

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from skimage.morphology import convex_hull_image
 
-from datasets.auto_transfer import automatic_scenes
-from datasets.camera import Camera
-from datasets.catalogue import entries, open_dataset
-from datasets.errors import DataError, UnknownName
-from datasets.render_views import views_of
-from datasets.scene import Dataset
-from datasets.view_cache import ViewCache
-from datasets.views import ViewRequest, ViewSet
+from econgs_bench.datasets.auto_transfer import automatic_scenes
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.catalogue import entries, open_dataset
+from econgs_bench.datasets.errors import DataError, UnknownName
+from econgs_bench.datasets.render_views import views_of
+from econgs_bench.datasets.scene import Dataset
+from econgs_bench.datasets.view_cache import ViewCache
+from econgs_bench.datasets.views import ViewRequest, ViewSet
 
 REQUEST = ViewRequest("test", 12, 2, 48, 48)
 NAMES = (

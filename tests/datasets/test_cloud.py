@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
-from datasets.camera import Camera, with_near_planes
-from datasets.camera_paths import training_cameras
-from datasets.cloud import initial_cloud, random_cloud, random_start, read_ply
-from datasets.errors import DataError
-from datasets.scene import BasicScene, Dataset, Isosurface
-from datasets.transfer import Bump, TransferFunction
-from datasets.volume import Volume
+from econgs_bench.datasets.camera import Camera, with_near_planes
+from econgs_bench.datasets.camera_paths import training_cameras
+from econgs_bench.datasets.cloud import initial_cloud, random_cloud, random_start, read_ply
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.scene import BasicScene, Dataset, Isosurface
+from econgs_bench.datasets.transfer import Bump, TransferFunction
+from econgs_bench.datasets.volume import Volume
 from tests.datasets.damage import check_damage
 from tests.datasets.views_folder import write_ply
 

@@ -13,14 +13,14 @@ import pycolmap
 import pytest
 from PIL import Image
 
-from datasets import colmap
-from datasets.camera import Camera
-from datasets.catalogue.opening import open_dataset
-from datasets.cloud import initial_cloud
-from datasets.errors import DataError
-from datasets.posed_images import read_frames, remarks
-from datasets.prerendered import load_views
-from datasets.views import ViewRequest
+from econgs_bench.datasets import colmap
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.catalogue.opening import open_dataset
+from econgs_bench.datasets.cloud import initial_cloud
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.posed_images import read_frames, remarks
+from econgs_bench.datasets.prerendered import load_views
+from econgs_bench.datasets.views import ViewRequest
 from tests.datasets.damage import check_damage
 
 KINDS = ("bin", "txt")

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from datasets.catalogue import entries, list_datasets
-from datasets.catalogue.opening import _scenes
-from datasets.catalogue.own import read_entry
+from econgs_bench.datasets.catalogue import entries, list_datasets
+from econgs_bench.datasets.catalogue.opening import _scenes
+from econgs_bench.datasets.catalogue.own import read_entry
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "guide" / "data.md").read_text(encoding="utf-8")

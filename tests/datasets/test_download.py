@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from datasets import download
-from datasets.download import Remote, fetch
-from datasets.errors import DataError
+from econgs_bench.datasets import download
+from econgs_bench.datasets.download import Remote, fetch
+from econgs_bench.datasets.errors import DataError
 from tests.datasets.http_server import CONTENT, serving
 
 SIZE = len(CONTENT)

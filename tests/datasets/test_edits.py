@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from datasets.edits import Edit, edited, mean_color
-from datasets.errors import DataError
-from datasets.scene import BasicScene, Isosurface, Light
-from datasets.transfer import Bump, TransferFunction
+from econgs_bench.datasets.edits import Edit, edited, mean_color
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.scene import BasicScene, Isosurface, Light
+from econgs_bench.datasets.transfer import Bump, TransferFunction
 
 
 def scene(*bumps, **more):
@@ -109,6 +109,6 @@ def test_edits_without_a_truth_are_refused(of, edit, reason):
 
 
 def test_the_contract_of_methods_is_the_same_class():
-    from methods import interface
+    from econgs_bench.methods import interface
 
     assert interface.Edit is Edit

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import tifffile
 
-from datasets.catalogue import open_dataset
-from datasets.errors import DataError
-from datasets.readers import list_variables, read_volume, sandbox
+from econgs_bench.datasets.catalogue import open_dataset
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers import list_variables, read_volume, sandbox
 from tests.datasets import samples
 from tests.datasets.forked import use_forks
 from tests.datasets.fuzz import fuzz

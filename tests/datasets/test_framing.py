@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.inputs import fingerprint
-from datasets.camera_paths import test_cameras as path_cameras
-from datasets.catalogue import open_dataset
-from datasets.render_views import cameras_of, views_of
-from datasets.view_cache import ViewCache
-from datasets.views import ViewRequest
+from econgs_bench.bench.inputs import fingerprint
+from econgs_bench.datasets.camera_paths import test_cameras as path_cameras
+from econgs_bench.datasets.catalogue import open_dataset
+from econgs_bench.datasets.render_views import cameras_of, views_of
+from econgs_bench.datasets.view_cache import ViewCache
+from econgs_bench.datasets.views import ViewRequest
 
 REQUEST = ViewRequest("test", 12, 5, 64, 48)
 

@@ -13,11 +13,11 @@ import pytest
 PROCESS = """
 import sys, tempfile
 from pathlib import Path
-from datasets.catalogue.opening import open_dataset
-from datasets.memory import peak_host_bytes
-from datasets.render_views import views_of
-from datasets.view_cache import ViewCache
-from datasets.views import ViewRequest
+from econgs_bench.datasets.catalogue.opening import open_dataset
+from econgs_bench.datasets.memory import peak_host_bytes
+from econgs_bench.datasets.render_views import views_of
+from econgs_bench.datasets.view_cache import ViewCache
+from econgs_bench.datasets.views import ViewRequest
 dataset = open_dataset(Path(sys.argv[1]))
 with tempfile.TemporaryDirectory() as folder:
     views = views_of(

@@ -8,19 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.camera_paths import test_cameras as orbit
-from datasets.catalogue import open_dataset
-from datasets.catalogue.proposal import write_entry
-from datasets.errors import DataError
-from datasets.ground_truth import probe
-from datasets.ground_truth.model import Layer
-from datasets.readers import read_volume
-from datasets.readers.limits import Limits
-from datasets.readers.naming import FileName
-from datasets.render_views import marcher_of
-from datasets.scene import BasicScene
-from datasets.transfer import MOST_ENTRIES, Bump, TransferFunction
-from datasets.volume import Volume
+from econgs_bench.datasets.camera_paths import test_cameras as orbit
+from econgs_bench.datasets.catalogue import open_dataset
+from econgs_bench.datasets.catalogue.proposal import write_entry
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.ground_truth import probe
+from econgs_bench.datasets.ground_truth.model import Layer
+from econgs_bench.datasets.readers import read_volume
+from econgs_bench.datasets.readers.limits import Limits
+from econgs_bench.datasets.readers.naming import FileName
+from econgs_bench.datasets.render_views import marcher_of
+from econgs_bench.datasets.scene import BasicScene
+from econgs_bench.datasets.transfer import MOST_ENTRIES, Bump, TransferFunction
+from econgs_bench.datasets.volume import Volume
 
 N = 24
 _Z, _Y, _X = np.mgrid[:N, :N, :N] / (N - 1) - 0.5

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.camera import Camera
-from datasets.camera_paths import look_at_origin
-from datasets.ground_truth.bricks import BRICK, Bricks
-from datasets.ground_truth.bricks import leaps as leap_distances
-from datasets.ground_truth.model import Layer, MarchSettings
-from datasets.ground_truth.reference import ReferenceMarcher
-from datasets.scene import Isosurface, Light
-from datasets.transfer import Bump, TransferFunction
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.camera_paths import look_at_origin
+from econgs_bench.datasets.ground_truth.bricks import BRICK, Bricks
+from econgs_bench.datasets.ground_truth.bricks import leaps as leap_distances
+from econgs_bench.datasets.ground_truth.model import Layer, MarchSettings
+from econgs_bench.datasets.ground_truth.reference import ReferenceMarcher
+from econgs_bench.datasets.scene import Isosurface, Light
+from econgs_bench.datasets.transfer import Bump, TransferFunction
 from tests.datasets import marching
 from tests.datasets.marching import FIXED, HEAD, PHONG, around, camera_at, mitsuba, noise, volume
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from datasets.ground_truth.model import Layer, MarchSettings
-from datasets.ground_truth.occlusion import RADII, bake
-from datasets.scene import Isosurface, Light
-from datasets.transfer import Bump, TransferFunction
-from datasets.volume import Volume
+from econgs_bench.datasets.ground_truth.model import Layer, MarchSettings
+from econgs_bench.datasets.ground_truth.occlusion import RADII, bake
+from econgs_bench.datasets.scene import Isosurface, Light
+from econgs_bench.datasets.transfer import Bump, TransferFunction
+from econgs_bench.datasets.volume import Volume
 from tests.datasets import marching
 from tests.datasets.marching import FIXED, HEAD, PHONG, around, camera_at, mitsuba, noise, volume
 

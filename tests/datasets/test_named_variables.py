@@ -15,10 +15,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datasets.catalogue import open_dataset
-from datasets.catalogue.opening import _reader
-from datasets.errors import DataError, UnknownName
-from datasets.readers import list_variables, read_volume, sandbox
+from econgs_bench.datasets.catalogue import open_dataset
+from econgs_bench.datasets.catalogue.opening import _reader
+from econgs_bench.datasets.errors import DataError, UnknownName
+from econgs_bench.datasets.readers import list_variables, read_volume, sandbox
 from tests.datasets.damage import PROPERTY, check_damage, check_volumes
 from tests.datasets.damage import array as _array
 
@@ -346,14 +346,15 @@ def test_any_round_trip(
 
 MEASURE = """
 import sys
-from datasets.memory import peak_host_bytes
-from datasets.readers import read_volume
+from econgs_bench.datasets.memory import peak_host_bytes
+from econgs_bench.datasets.readers import read_volume
 if sys.argv[2] == "volume":
     volume = read_volume(sys.argv[1], sys.argv[3] or None)
     assert float(volume.values[-1, -1, -1]) == 1.0
 else:
-    import datasets.readers.arrays, datasets.readers.sandbox, datasets.readers.npz
-    import datasets.readers.netcdf3, datasets.volume
+    import econgs_bench.datasets.readers.arrays, econgs_bench.datasets.readers.sandbox
+    import econgs_bench.datasets.readers.npz
+    import econgs_bench.datasets.readers.netcdf3, econgs_bench.datasets.volume
 print(peak_host_bytes())
 """
 

@@ -6,9 +6,9 @@ import re
 import numpy as np
 import pytest
 
-from datasets.catalogue import list_datasets, open_dataset
-from datasets.catalogue.entries import OWN_ENVIRONMENT, built_in
-from datasets.errors import DataError
+from econgs_bench.datasets.catalogue import list_datasets, open_dataset
+from econgs_bench.datasets.catalogue.entries import OWN_ENVIRONMENT, built_in
+from econgs_bench.datasets.errors import DataError
 
 LINE = re.compile(r" \(line \d+\)")
 RAYS = "a pixel has 1, 4, 9, 16 ... 1024 samples"

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from colour.blindness import CVD_MATRICES_MACHADO2010
 
-from datasets.auto_transfer import COLORS
-from datasets.catalogue import entries
+from econgs_bench.datasets.auto_transfer import COLORS
+from econgs_bench.datasets.catalogue import entries
 
 EYES = {
     "normal": np.eye(3),

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from datasets import procedural
-from datasets.errors import DataError
+from econgs_bench.datasets import procedural
+from econgs_bench.datasets.errors import DataError
 
 
 def _doubles(name: str, n: int) -> bool:

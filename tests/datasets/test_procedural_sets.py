@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from datasets import procedural
-from datasets.catalogue import entries, list_datasets
-from datasets.procedural.flame import _CHI, JetFlame
-from datasets.procedural.front import IonisationFront
-from datasets.procedural.space import Slice
+from econgs_bench.datasets import procedural
+from econgs_bench.datasets.catalogue import entries, list_datasets
+from econgs_bench.datasets.procedural.flame import _CHI, JetFlame
+from econgs_bench.datasets.procedural.front import IonisationFront
+from econgs_bench.datasets.procedural.space import Slice
 
 # The paper's tables of univariate and multivariate datasets: dims, basic scenes.
 PAPER = {

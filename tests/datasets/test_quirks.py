@@ -21,8 +21,8 @@ import zarr
 from PIL import Image
 from vtk.util.numpy_support import numpy_to_vtk, vtk_to_numpy
 
-from datasets.errors import DataError
-from datasets.readers import list_variables, read_volume
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers import list_variables, read_volume
 from tests.datasets import samples
 
 pytestmark = pytest.mark.usefixtures("forks")

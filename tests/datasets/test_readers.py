@@ -14,9 +14,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datasets.errors import DataError
-from datasets.readers import read_volume
-from datasets.volume import Volume
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers import read_volume
+from econgs_bench.datasets.volume import Volume
 from tests.datasets.damage import PROPERTY, array, check_damage, check_refused, check_volumes
 
 INTEGERS = tuple(f"{sign}int{bits}" for bits in (8, 16, 32, 64) for sign in ("u", ""))

@@ -10,10 +10,10 @@ import pytest
 import vtk
 from vtk.util.numpy_support import vtk_to_numpy
 
-from bench.inputs import absolute
-from datasets.catalogue import open_dataset
-from datasets.cloud import initial_cloud
-from datasets.readers import list_variables, read_volume
+from econgs_bench.bench.inputs import absolute
+from econgs_bench.datasets.catalogue import open_dataset
+from econgs_bench.datasets.cloud import initial_cloud
+from econgs_bench.datasets.readers import list_variables, read_volume
 
 pytestmark = pytest.mark.data
 

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from datasets import render_views
-from datasets.edits import Edit
-from datasets.errors import DataError
-from datasets.ground_truth import probe
-from datasets.render_views import views_of
-from datasets.scene import BasicScene, Dataset, Isosurface, Light
-from datasets.transfer import Bump, TransferFunction
-from datasets.views import ViewRequest
-from datasets.volume import Volume
+from econgs_bench.datasets import render_views
+from econgs_bench.datasets.edits import Edit
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.ground_truth import probe
+from econgs_bench.datasets.render_views import views_of
+from econgs_bench.datasets.scene import BasicScene, Dataset, Isosurface, Light
+from econgs_bench.datasets.transfer import Bump, TransferFunction
+from econgs_bench.datasets.views import ViewRequest
+from econgs_bench.datasets.volume import Volume
 
 ROOT = Path(__file__).parents[2]
 TRAIN = ViewRequest("train", 12, 5, 24, 24)
@@ -230,7 +230,7 @@ def output_of(code, **environment):
 def trial(library, cache_folder):
     """What a fresh process makes of a library, and how often it had to try."""
     code = (
-        "from datasets.ground_truth import probe\n"
+        "from econgs_bench.datasets.ground_truth import probe\n"
         "probe._has_cuda_driver = lambda: False\n"
         "real, tries = probe._try, []\n"
         "probe._try = lambda *a: (tries.append(a), real(*a))[1]\n"
@@ -305,7 +305,7 @@ def test_without_the_package_the_reference_renders_and_its_remedy_is_named(monke
 
 def test_the_marcher_has_the_threads_of_the_native_kernels():
     code = (
-        "from datasets.ground_truth import probe\n"
+        "from econgs_bench.datasets.ground_truth import probe\n"
         "probe.activate(probe.find_backend(cuda=False))\n"
         "import drjit\n"
         "print(drjit.thread_count())\n"

@@ -10,20 +10,20 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import ConvexHull
 
-from datasets.camera import Camera
-from datasets.camera_paths import look_at_origin
-from datasets.catalogue import entries, open_dataset
-from datasets.edits import Edit
-from datasets.errors import DataError
-from datasets.ground_truth import sampling
-from datasets.ground_truth.model import Layer, MarchSettings
-from datasets.ground_truth.reference import ReferenceMarcher
-from datasets.ground_truth.sampling import ADAPTIVE, checked, pictures, samples_of
-from datasets.render_views import live_renderer, views_of
-from datasets.scene import BasicScene, Dataset, Isosurface, Light
-from datasets.transfer import Bump, TransferFunction
-from datasets.views import ViewRequest
-from datasets.volume import Volume
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.camera_paths import look_at_origin
+from econgs_bench.datasets.catalogue import entries, open_dataset
+from econgs_bench.datasets.edits import Edit
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.ground_truth import sampling
+from econgs_bench.datasets.ground_truth.model import Layer, MarchSettings
+from econgs_bench.datasets.ground_truth.reference import ReferenceMarcher
+from econgs_bench.datasets.ground_truth.sampling import ADAPTIVE, checked, pictures, samples_of
+from econgs_bench.datasets.render_views import live_renderer, views_of
+from econgs_bench.datasets.scene import BasicScene, Dataset, Isosurface, Light
+from econgs_bench.datasets.transfer import Bump, TransferFunction
+from econgs_bench.datasets.views import ViewRequest
+from econgs_bench.datasets.volume import Volume
 
 from . import vtk_oracle
 from .marching import FIXED, HEAD, around, decibels, mitsuba, noise, volume
@@ -417,7 +417,7 @@ def test_keys_of_views_hold_the_number_and_the_rule_of_samples(cache, monkeypatc
         return views_of(two(), "s", ViewRequest("test", 12, 1, 8, 8, samples=samples), cache=cache).key
 
     before = [key(samples) for samples in (1, 4, ADAPTIVE)]
-    monkeypatch.setattr("datasets.render_views.SAMPLING_VERSION", sampling.SAMPLING_VERSION + 1)
+    monkeypatch.setattr("econgs_bench.datasets.render_views.SAMPLING_VERSION", sampling.SAMPLING_VERSION + 1)
     after = [key(samples) for samples in (1, 4, ADAPTIVE)]
     assert before[0] == after[0], "one ray has no rule"
     assert len({*before, *after}) == 5

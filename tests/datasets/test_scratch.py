@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 import zarr
 
-from datasets import scratch
-from datasets.errors import DataError
-from datasets.readers import read_volume
-from datasets.scratch import is_mapped, new_array, picked
+from econgs_bench.datasets import scratch
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers import read_volume
+from econgs_bench.datasets.scratch import is_mapped, new_array, picked
 from tests.datasets.marching import mitsuba, volume
 
 # Renders a volume in memory and in a file; prints what each adds to the anonymous memory, and whether the
@@ -24,14 +24,14 @@ from tests.datasets.marching import mitsuba, volume
 PROCESS = """
 import json, sys, threading, time
 import numpy as np
-from datasets import scratch
-from datasets.camera_paths import training_cameras
-from datasets.ground_truth import probe
-from datasets.ground_truth.model import Layer
-from datasets.readers import read_volume
-from datasets.render_views import marcher_of
-from datasets.scene import BasicScene
-from datasets.transfer import Bump, TransferFunction
+from econgs_bench.datasets import scratch
+from econgs_bench.datasets.camera_paths import training_cameras
+from econgs_bench.datasets.ground_truth import probe
+from econgs_bench.datasets.ground_truth.model import Layer
+from econgs_bench.datasets.readers import read_volume
+from econgs_bench.datasets.render_views import marcher_of
+from econgs_bench.datasets.scene import BasicScene
+from econgs_bench.datasets.transfer import Bump, TransferFunction
 
 def anonymous():
     lines = open("/proc/self/status").read().splitlines()
@@ -155,7 +155,7 @@ def test_a_mapped_volume_renders_the_same_with_little_anonymous_memory(tmp_path,
 
 def test_a_grid_beyond_the_marcher_s_indices_is_an_error_before_it_takes_memory():
     mitsuba(volume(np.zeros((4, 4, 4))))  # sets its variant
-    from datasets.ground_truth.field import Field
+    from econgs_bench.datasets.ground_truth.field import Field
 
     with pytest.raises(DataError, match=r"1024 x 1024 x 2048.*2147483648 values"):
         Field(iter(()), (2048, 1024, 1024))

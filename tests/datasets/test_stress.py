@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from datasets import stress
-from datasets.camera import Camera
-from datasets.camera_paths import training_cameras
-from datasets.catalogue import open_dataset
-from datasets.cloud import PointCloud, random_cloud
-from datasets.errors import DataError
-from datasets.units import camera_in_units, scene_in_units
+from econgs_bench.datasets import stress
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.camera_paths import training_cameras
+from econgs_bench.datasets.catalogue import open_dataset
+from econgs_bench.datasets.cloud import PointCloud, random_cloud
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.units import camera_in_units, scene_in_units
 
 CAMERAS = training_cameras(42, 0.5, 16, 12, (0.2, 0.0, 0.1))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from datasets.transfer import Bump, TransferFunction
+from econgs_bench.datasets.transfer import Bump, TransferFunction
 
 RED, BLUE = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 X = np.linspace(0.0, 1.0, 4001)

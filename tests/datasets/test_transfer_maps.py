@@ -8,9 +8,9 @@ from skimage.color import lab2rgb, rgb2lab
 from vtkmodules.vtkCommonDataModel import vtkPiecewiseFunction
 from vtkmodules.vtkRenderingCore import vtkColorTransferFunction
 
-from datasets.catalogue import open_dataset
-from datasets.errors import DataError
-from datasets.transfer_maps import read_map, transfer_of
+from econgs_bench.datasets.catalogue import open_dataset
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.transfer_maps import read_map, transfer_of
 
 POINTS = [-20.0, 0.1, 0.9, 0.2, 130.0, 0.2, 0.1, 0.9, 250.0, 0.9, 0.9, 0.1]
 OPACITIES = [0.0, 0.0, 0.3, 0.0, 80.0, 0.7, 0.5, 0.4, 160.0, 0.1, 0.5, 1.0, 240.0, 1.0, 0.5, 0.0]

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from datasets.edits import Edit, edited
-from datasets.scene import BasicScene, Isosurface
-from datasets.transfer import Bump, TransferFunction
-from datasets.unseen import recipe, transfer_distance
+from econgs_bench.datasets.edits import Edit, edited
+from econgs_bench.datasets.scene import BasicScene, Isosurface
+from econgs_bench.datasets.transfer import Bump, TransferFunction
+from econgs_bench.datasets.unseen import recipe, transfer_distance
 
 RED, BLUE = (0.9, 0.1, 0.1), (0.1, 0.1, 0.9)
 

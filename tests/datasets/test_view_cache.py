@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.errors import DataError
-from datasets.png import read_png, write_png
-from datasets.scratch import cache_root
-from datasets.view_cache import ViewCache
-from datasets.view_files import read_views
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.png import read_png, write_png
+from econgs_bench.datasets.scratch import cache_root
+from econgs_bench.datasets.view_cache import ViewCache
+from econgs_bench.datasets.view_files import read_views
 from tests.datasets.damage import damage
 
 RECORD = {"renderer": "none", "ms_per_view": 1.5}
@@ -99,7 +99,7 @@ WRITER = """
 import sys
 from pathlib import Path
 import numpy as np
-from datasets.view_cache import ViewCache
+from econgs_bench.datasets.view_cache import ViewCache
 cache = ViewCache(Path(sys.argv[1]))
 first, same = int(sys.argv[2]), sys.argv[3] == "same"
 print("ready", flush=True)

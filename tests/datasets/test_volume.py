@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from datasets.volume import Volume
+from econgs_bench.datasets.volume import Volume
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.int32, np.float32, np.float64])

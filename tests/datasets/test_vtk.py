@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from datasets.camera import Camera
-from datasets.camera_paths import training_cameras
-from datasets.catalogue import open_dataset
-from datasets.ground_truth.model import MarchSettings
-from datasets.scene import Light
-from datasets.transfer import Bump, TransferFunction
-from datasets.volume import Volume
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.camera_paths import training_cameras
+from econgs_bench.datasets.catalogue import open_dataset
+from econgs_bench.datasets.ground_truth.model import MarchSettings
+from econgs_bench.datasets.scene import Light
+from econgs_bench.datasets.transfer import Bump, TransferFunction
+from econgs_bench.datasets.volume import Volume
 
 from . import vtk_oracle
 from .marching import decibels, mitsuba, noise, volume

@@ -12,15 +12,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from vtk.util.numpy_support import vtk_to_numpy
 
-from datasets.cloud import initial_cloud
-from datasets.errors import DataError, UnknownName
-from datasets.readers import list_variables, read_volume
-from datasets.readers import mesh as meshes
-from datasets.readers.fields import Choice, Variable
-from datasets.render_views import volume_digest
-from datasets.scene import BasicScene, Dataset
-from datasets.transfer import Bump, TransferFunction
-from datasets.volume import Volume
+from econgs_bench.datasets.cloud import initial_cloud
+from econgs_bench.datasets.errors import DataError, UnknownName
+from econgs_bench.datasets.readers import list_variables, read_volume
+from econgs_bench.datasets.readers import mesh as meshes
+from econgs_bench.datasets.readers.fields import Choice, Variable
+from econgs_bench.datasets.render_views import volume_digest
+from econgs_bench.datasets.scene import BasicScene, Dataset
+from econgs_bench.datasets.transfer import Bump, TransferFunction
+from econgs_bench.datasets.volume import Volume
 from tests.datasets.damage import PROPERTY, array, check_damage, check_refused, check_volumes
 from tests.datasets.test_named_variables import big_array, peak_bytes
 from tests.datasets.vtk_files import (

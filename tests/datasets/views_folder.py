@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from datasets.camera import Camera
-from datasets.cloud import PointCloud
-from datasets.scene import BasicScene
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.cloud import PointCloud
+from econgs_bench.datasets.scene import BasicScene
 
 
 def write_transforms(path: Path, cameras: Sequence[Camera]) -> None:

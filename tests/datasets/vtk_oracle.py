@@ -32,10 +32,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera import Camera
-from datasets.scene import Light
-from datasets.transfer import TransferFunction
-from datasets.volume import Volume
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.scene import Light
+from econgs_bench.datasets.transfer import TransferFunction
+from econgs_bench.datasets.volume import Volume
 
 Mapper = Literal["gpu", "cpu"]
 _TABLE = 16384

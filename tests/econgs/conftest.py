@@ -14,8 +14,8 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from datasets.camera import Camera
-from econgs.splat import LINEAGE, LowPass, rasterise
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.econgs.splat import LINEAGE, LowPass, rasterise
 
 NAMES = ("means", "quats", "scales", "opacities", "features", "screen_offset")
 OUTPUTS = ("features", "alpha", "depth")
@@ -196,9 +196,9 @@ def random_seeds(scene: Scene, keep: NDArray[np.bool_], seed: int = 5) -> dict[s
 
 def native_module() -> Any:
     """The compiled kernels, or None where there are none."""
-    if importlib.util.find_spec("econgs._native") is None:
+    if importlib.util.find_spec("econgs_bench.econgs._native") is None:
         return None
-    from econgs.splat import native
+    from econgs_bench.econgs.splat import native
 
     return native
 
@@ -269,7 +269,7 @@ def backend(request: pytest.FixtureRequest, restored: None) -> Backend:
     if name == "native":
         native = native_module()
         if native is None:
-            pytest.skip("econgs._native is not compiled here")
+            pytest.skip("econgs_bench.econgs._native is not compiled here")
         native.set_isa(isa)
     return Backend(name)
 

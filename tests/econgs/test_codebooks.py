@@ -6,7 +6,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from econgs.codebooks import (
+from econgs_bench.econgs.codebooks import (
     Codebook,
     code_ids,
     decode_ids,

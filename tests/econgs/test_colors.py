@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 import torch
 
-import econgs.anchors.gaussians as gaussians
-from econgs.anchors.colors import offset_colors
-from econgs.anchors.decode import decode
-from econgs.anchors.decoders import Decoders
+import econgs_bench.econgs.anchors.gaussians as gaussians
+from econgs_bench.econgs.anchors.colors import offset_colors
+from econgs_bench.econgs.anchors.decode import decode
+from econgs_bench.econgs.anchors.decoders import Decoders
 
 from .test_decode import EYE, Case
 

@@ -9,9 +9,9 @@ import pytest
 import torch
 from scipy.stats import norm
 
-from econgs.context.hash_grid import GridConfig
-from econgs.context.integer import whole_values
-from econgs.context.model import (
+from econgs_bench.econgs.context.hash_grid import GridConfig
+from econgs_bench.econgs.context.integer import whole_values
+from econgs_bench.econgs.context.model import (
     Attributes,
     ContextConfig,
     ContextModel,
@@ -21,8 +21,8 @@ from econgs.context.model import (
     draw_sample,
     normal_bits,
 )
-from econgs.context.tables import coding_table, low_bits, spread_table
-from econgs.optim import Adam
+from econgs_bench.econgs.context.tables import coding_table, low_bits, spread_table
+from econgs_bench.econgs.optim import Adam
 
 GRID = GridConfig(volume=(4, 8, 16), planes=(32,), volume_log2=10, planes_log2=10)
 CONFIG = ContextConfig(features=6, offsets=2, grid=GRID, hidden=24)
@@ -138,7 +138,7 @@ def test_gradients_of_noise_and_head() -> None:
 
 def test_native_noise_has_the_gradients_of_the_torch_one(splat: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     if splat.native is None:
-        pytest.skip("econgs._native is not compiled here")
+        pytest.skip("econgs_bench.econgs._native is not compiled here")
     random = np.random.default_rng(0)
     values, noise, outer = (
         torch.from_numpy(random.normal(size=(2000, 54)).astype(np.float32)) for _ in range(3)

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from datasets.errors import DataError
-from econgs.context.container import Kind, Section, read_container, write_container
-from econgs.context.culling import kept_offsets
-from econgs.context.stream import GroupAttributes, decode_group, encode_group, round_group
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.econgs.context.container import Kind, Section, read_container, write_container
+from econgs_bench.econgs.context.culling import kept_offsets
+from econgs_bench.econgs.context.stream import GroupAttributes, decode_group, encode_group, round_group
 from tests.econgs.streams import arrays_of, group, with_culling, with_masks
 
 

@@ -12,18 +12,18 @@ import pytest
 import torch
 from torch import Tensor
 
-from datasets.camera import Camera
-from datasets.errors import UnknownName
-from econgs.anchors.decode import decode, decode_unshaded, visible_anchors
-from econgs.anchors.decoders import NETWORKS, Decoders
-from econgs.anchors.gaussians import ViewGaussians
-from econgs.anchors.shading import Factors, shade
-from econgs.splat import SplatImages, rasterise
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.errors import UnknownName
+from econgs_bench.econgs.anchors.decode import decode, decode_unshaded, visible_anchors
+from econgs_bench.econgs.anchors.decoders import NETWORKS, Decoders
+from econgs_bench.econgs.anchors.gaussians import ViewGaussians
+from econgs_bench.econgs.anchors.shading import Factors, shade
+from econgs_bench.econgs.splat import SplatImages, rasterise
 
 from .conftest import ISAS, native_module, relative
 
 native = native_module()
-needs_native = pytest.mark.skipif(not ISAS, reason="econgs._native is not compiled here")
+needs_native = pytest.mark.skipif(not ISAS, reason="econgs_bench.econgs._native is not compiled here")
 EYE = (0.5, 0.25, -3.0)
 SIDE = (0.6, 0.0, -0.8)
 NAMES = ("means", "quats", "scales", "opacities", "colors")

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from econgs.anchors.direct import ColorDecoders, decode_colors
-from econgs.anchors.gaussians import apply_masks
+from econgs_bench.econgs.anchors.direct import ColorDecoders, decode_colors
+from econgs_bench.econgs.anchors.gaussians import apply_masks
 
 EYE = [0.3, -2.0, 1.1]
 

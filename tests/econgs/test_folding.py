@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from econgs.anchors.decode import decode
-from econgs.anchors.folding import fold_embeddings
+from econgs_bench.econgs.anchors.decode import decode
+from econgs_bench.econgs.anchors.folding import fold_embeddings
 
 from .test_decode import EYE, NAMES, Case
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from econgs.grouping import chamfer_distances, cluster
+from econgs_bench.econgs.grouping import chamfer_distances, cluster
 
 
 def plain_chamfer(a, b):
@@ -65,7 +65,7 @@ def test_linkages_differ_as_they_should():
 @pytest.mark.data
 def test_groups_of_the_authors_vortex_clouds(data_folder):
     """Average linkage at 0.01 joins three of the four scenes, as the paper's training times imply."""
-    from datasets.cloud import read_ply
+    from econgs_bench.datasets.cloud import read_ply
 
     points = [
         read_ply(data_folder / f"vortex_views/TF0{i}/points3d.ply").points.astype(float) for i in range(1, 5)

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from econgs.anchors.growing import AnchorRules, AnchorStatistics, grow, lattice_anchors, prunable
+from econgs_bench.econgs.anchors.growing import AnchorRules, AnchorStatistics, grow, lattice_anchors, prunable
 
 RULES = AnchorRules(voxel=0.01, init_factor=16, gradient=1.0)
 

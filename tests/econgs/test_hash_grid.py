@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 import torch
 
-from econgs.context.hash_grid import HAC_GRID, SMALL_GRID, GridConfig, HashGrid, interpolate, make_lookup
+from econgs_bench.econgs.context.hash_grid import (
+    HAC_GRID,
+    SMALL_GRID,
+    GridConfig,
+    HashGrid,
+    interpolate,
+    make_lookup,
+)
 
 TINY = GridConfig(volume=(3, 6, 11), planes=(5, 20), volume_log2=7, planes_log2=6)
 EXTENT = (900, 1023, 65535)

@@ -12,7 +12,7 @@ from torch.nn import functional
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
-from econgs.losses import photometric_loss, ssim, view_losses
+from econgs_bench.econgs.losses import photometric_loss, ssim, view_losses
 
 SIZES = [(37, 52, 3), (64, 64, 3), (16, 16, 1), (5, 7, 4), (1, 1, 3), (130, 20, 2)]
 

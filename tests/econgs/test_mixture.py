@@ -10,14 +10,20 @@ import pytest
 import torch
 from scipy import stats
 
-from datasets.errors import DataError
-from econgs.context.coder import Decoder, Encoder
-from econgs.context.container import Kind, Section, read_container, write_container
-from econgs.context.integer import ACTIVATION_BITS, HIDDEN_LIMIT, OUTPUT_LIMIT, MixedCoding
-from econgs.context.mixture import Mixture, first_weight, read_mixture, write_mixture
-from econgs.context.model import Attributes, ContextConfig, ContextModel, Distribution, mixture_bits
-from econgs.context.positions import PositionGrid
-from econgs.context.stream import (
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.econgs.context.coder import Decoder, Encoder
+from econgs_bench.econgs.context.container import Kind, Section, read_container, write_container
+from econgs_bench.econgs.context.integer import ACTIVATION_BITS, HIDDEN_LIMIT, OUTPUT_LIMIT, MixedCoding
+from econgs_bench.econgs.context.mixture import Mixture, first_weight, read_mixture, write_mixture
+from econgs_bench.econgs.context.model import (
+    Attributes,
+    ContextConfig,
+    ContextModel,
+    Distribution,
+    mixture_bits,
+)
+from econgs_bench.econgs.context.positions import PositionGrid
+from econgs_bench.econgs.context.stream import (
     CodedContext,
     GroupAttributes,
     SceneAttributes,
@@ -25,7 +31,7 @@ from econgs.context.stream import (
     encode_group,
     round_group,
 )
-from econgs.context.tables import SPREADS, spread_table, step_log_table, step_table
+from econgs_bench.econgs.context.tables import SPREADS, spread_table, step_log_table, step_table
 from tests.econgs.streams import CONFIG, GRID, arrays_of, coded_context, group, with_culling, with_masks
 
 MIXED = replace(CONFIG, chunk=3)

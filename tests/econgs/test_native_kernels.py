@@ -13,13 +13,15 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.camera import Camera
-from datasets.errors import UnknownName
-from econgs.splat.splats import Splats
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.errors import UnknownName
+from econgs_bench.econgs.splat.splats import Splats
 
 from .conftest import ISAS
 
-native = pytest.importorskip("econgs.splat.native", reason="econgs._native is not compiled here")
+native = pytest.importorskip(
+    "econgs_bench.econgs.splat.native", reason="econgs_bench.econgs._native is not compiled here"
+)
 
 
 def camera() -> Camera:
@@ -87,7 +89,7 @@ def test_survives_a_fork(restored: None) -> None:
 
 
 def run_with(**environment: str) -> subprocess.CompletedProcess[str]:
-    code = "from econgs.splat import native; print(native.isa(), native.threads())"
+    code = "from econgs_bench.econgs.splat import native; print(native.isa(), native.threads())"
     return subprocess.run(
         [sys.executable, "-c", code], env={**os.environ, **environment}, capture_output=True, encoding="utf-8"
     )

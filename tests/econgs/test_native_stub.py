@@ -4,7 +4,7 @@ import ast
 import re
 from pathlib import Path
 
-import econgs._native as native
+import econgs_bench.econgs._native as native
 
 STUB = Path(__file__).parents[2] / "econgs/_native.pyi"
 ARRAYS = {"float32": "Floats", "float64": "Doubles", "int32": "Ints", "int64": "Longs", "uint8": "Bytes"}

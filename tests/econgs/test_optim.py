@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from econgs.optim import Adam
+from econgs_bench.econgs.optim import Adam
 
 SHAPES = {"means": (101, 3), "opacities": (101,), "sh": (101, 15, 3), "odd": (7,), "many": (40_001,)}
 RATES = {"means": 1.6e-4, "opacities": 0.05, "sh": 1.25e-4, "odd": 0.3, "many": 1e-3}

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from econgs.rays import PixelRays, camera_rays
-from methods.contract.scene import look_at
+from econgs_bench.econgs.rays import PixelRays, camera_rays
+from econgs_bench.methods.contract.scene import look_at
 
 
 def test_rays_of_pixels_are_those_of_pictures_and_project_back():

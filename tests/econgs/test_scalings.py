@@ -5,10 +5,10 @@ import math
 import pytest
 import torch
 
-from econgs.anchors.anchor_set import AnchorSet
-from econgs.anchors.growing import AnchorRules
-from econgs.anchors.scalings import activated, logarithms, of_logarithms
-from econgs.optim import Adam
+from econgs_bench.econgs.anchors.anchor_set import AnchorSet
+from econgs_bench.econgs.anchors.growing import AnchorRules
+from econgs_bench.econgs.anchors.scalings import activated, logarithms, of_logarithms
+from econgs_bench.econgs.optim import Adam
 
 VOXEL = 0.01
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.errors import UnknownName
-from econgs.splat import LowPass, choose_backend, rasterise, trusted_values
+from econgs_bench.datasets.errors import UnknownName
+from econgs_bench.econgs.splat import LowPass, choose_backend, rasterise, trusted_values
 
 SCENES: dict[str, dict[str, Any]] = {
     "plain": {},
@@ -368,9 +368,10 @@ def test_without_the_compiled_module_torch_stands_in_and_says_so_once() -> None:
     program = """
 import importlib.util, warnings
 find = importlib.util.find_spec
-importlib.util.find_spec = lambda name, *rest: None if name == "econgs._native" else find(name, *rest)
+native = "econgs_bench.econgs._native"
+importlib.util.find_spec = lambda name, *rest: None if name == native else find(name, *rest)
 import torch
-from econgs.splat import choose_backend
+from econgs_bench.econgs.splat import choose_backend
 with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")
     print(choose_backend(torch.zeros(1)), choose_backend(torch.zeros(1)), len(caught), caught[0].message)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.camera import Camera
-from econgs.splat import LINEAGE, LowPass, rasterise
-from econgs.splat.torch_backend import project, ray_factors
+from econgs_bench.datasets.camera import Camera
+from econgs_bench.econgs.splat import LINEAGE, LowPass, rasterise
+from econgs_bench.econgs.splat.torch_backend import project, ray_factors
 
 SCENES = {
     "plain": {},

@@ -9,7 +9,7 @@ import pytest
 import torch
 from scipy.special import sph_harm_y
 
-from econgs.splat import spherical_harmonics
+from econgs_bench.econgs.splat import spherical_harmonics
 
 
 def inputs(count: int, degree: int, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.errors import DataError
-from econgs.context.hash_grid import GridConfig
-from econgs.context.model import Attributes, ContextConfig, ContextModel
-from econgs.context.positions import PositionGrid
-from econgs.context.stream import (
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.econgs.context.hash_grid import GridConfig
+from econgs_bench.econgs.context.model import Attributes, ContextConfig, ContextModel
+from econgs_bench.econgs.context.positions import PositionGrid
+from econgs_bench.econgs.context.stream import (
     CodedContext,
     Encoded,
     GroupAttributes,

@@ -11,10 +11,10 @@ import pytest
 import torch
 from scipy.ndimage import map_coordinates
 
-from econgs.rays import Rays
-from econgs.splat import native
-from econgs.splat.sh import spherical_harmonics
-from econgs.voxels import (
+from econgs_bench.econgs.rays import Rays
+from econgs_bench.econgs.splat import native
+from econgs_bench.econgs.splat.sh import spherical_harmonics
+from econgs_bench.econgs.voxels import (
     SH,
     VoxelGrid,
     Voxels,
@@ -313,7 +313,7 @@ def test_a_finer_grid_shows_the_same() -> None:
 
 def test_sizes_that_do_not_fit_are_refused() -> None:
     grid: Any = grid_of()
-    module: Any = __import__("econgs._native", fromlist=["march"])
+    module: Any = __import__("econgs_bench.econgs._native", fromlist=["march"])
     rays = rays_through(4)
     arrays = [[one.numpy()] for one in (grid.links, grid.voxels.densities, grid.voxels.colors, grid.bricks)]
     placement = np.array([grid.placement(0.02)])

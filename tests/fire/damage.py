@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from bench.bundle import unpacked, write_bundle
-from bench.checkpoints import read_checkpoint
-from bench.jobs.truth import Truth
-from bench.store import Store
-from bench.tables import stored_tables
-from datasets.errors import DataError
-from datasets.view_cache import ViewCache
+from econgs_bench.bench.bundle import unpacked, write_bundle
+from econgs_bench.bench.checkpoints import read_checkpoint
+from econgs_bench.bench.jobs.truth import Truth
+from econgs_bench.bench.store import Store
+from econgs_bench.bench.tables import stored_tables
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.view_cache import ViewCache
 from tests.bench.conftest import Bench, suite_file, wait_for, write_dataset
 from tests.datasets.damage import KINDS, damage
 from tests.fire.attack import REAL, Tally, bench_in, contents, difference, leftovers, work_folder

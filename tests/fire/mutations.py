@@ -28,8 +28,8 @@ from typing import Any
 
 import numpy as np
 
-from datasets.errors import DataError
-from methods.interface import Method
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.methods.interface import Method
 from tests.datasets.damage import KINDS, Outcome, damage
 from tests.fire.attack import Tally
 
@@ -71,7 +71,7 @@ def _safetensors(data: bytes) -> bytes:
     """Sums of tensors and facts, in the header's text."""
     from safetensors.torch import load
 
-    from methods.shared.sealed import _sum
+    from econgs_bench.methods.shared.sealed import _sum
 
     length = int.from_bytes(data[:8], "little")
     facts = json.loads(json.loads(data[8 : 8 + length])["__metadata__"]["model"])
@@ -82,7 +82,7 @@ def _safetensors(data: bytes) -> bytes:
 
 def _json(data: bytes) -> bytes:
     """Of facts with the sum first, or of a scene of a volume with the sum last."""
-    from methods.shared.sealed import _sum
+    from econgs_bench.methods.shared.sealed import _sum
 
     facts = json.loads(data)
     stored = facts.pop("crc32")
@@ -95,7 +95,7 @@ def _json(data: bytes) -> bytes:
 
 
 def _container(data: bytes) -> bytes:
-    from econgs.context.container import _CHECK, _ENTRY, _HEADER, MOST_SECTIONS, overhead
+    from econgs_bench.econgs.context.container import _CHECK, _ENTRY, _HEADER, MOST_SECTIONS, overhead
 
     magic, version, count, _ = _HEADER.unpack_from(data)
     assert count <= MOST_SECTIONS
@@ -248,8 +248,8 @@ def prepared(name: str, folder: Path) -> tuple[Path, tuple[Any, ...]]:
         try:
             import torch
 
-            from methods.contract.checks import Subject
-            from methods.registry import Registry, load_method
+            from econgs_bench.methods.contract.checks import Subject
+            from econgs_bench.methods.registry import Registry, load_method
             from tests.methods.test_contract import SMALL
 
             torch.set_num_threads(1)
@@ -270,8 +270,8 @@ def prepared(name: str, folder: Path) -> tuple[Path, tuple[Any, ...]]:
 
 def fuzz(name: str, mutations: int, seed: int, folder: Path) -> Iterator[Outcome]:
     """Damage a small model of a method many times; yields the outcome of plain damage and of repaired."""
-    from methods.contract.scene import cameras
-    from methods.registry import Registry, load_method
+    from econgs_bench.methods.contract.scene import cameras
+    from econgs_bench.methods.registry import Registry, load_method
 
     saved, picture = prepared(name, folder)
     method, camera = load_method(Registry().spec(name)), cameras(3, phase=1.0)[0]
@@ -307,7 +307,7 @@ def fuzz(name: str, mutations: int, seed: int, folder: Path) -> Iterator[Outcome
 
 def main(arguments: list[str] | None = None) -> int:
     """Damage the methods named on the command line, or all; print a line for each."""
-    from methods.registry import Registry
+    from econgs_bench.methods.registry import Registry
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("methods", nargs="*")

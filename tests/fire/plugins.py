@@ -15,7 +15,7 @@ from pathlib import Path
 
 import psutil
 
-from bench.store import Store
+from econgs_bench.bench.store import Store
 from tests.bench.conftest import PLUGINS, PRESET, Bench, suite_file, write_dataset
 from tests.fire.attack import Tally, bench_in, leftovers, work_folder
 
@@ -111,7 +111,7 @@ IMPORTS = {
     "no class": ("Method = 3", ""),
 }
 """What the module of an implementation does -> words of the row of its fit."""
-SPEC = """from methods.interface import MethodSpec
+SPEC = """from econgs_bench.methods.interface import MethodSpec
 SPEC = MethodSpec(
     name={name!r}, title="t", reference="r", version="1", implementation="{module}.method:Method",
     uses_alpha="no", iterations={{"quick": 1, "standard": 1, "paper": 1}}, devices=("cpu",),{more}
@@ -123,7 +123,7 @@ SPECS = {
     "mute": "class Mute(Exception):\n    def __str__(self):\n        raise self\nraise Mute\nSPEC = 1",
     "syntax": "SPEC = (",
     "none": "SPEC = None",
-    "class": "from methods.interface import MethodSpec\nSPEC = MethodSpec",
+    "class": "from econgs_bench.methods.interface import MethodSpec\nSPEC = MethodSpec",
     "lacking": "import no_such_library\nSPEC = 1",
     "deep": "def deep():\n    return deep()\nSPEC = deep()",
     **{

@@ -18,8 +18,8 @@ from pathlib import Path
 
 import psutil
 
-import bench
-from bench.store import Store
+import econgs_bench as bench
+from econgs_bench.bench.store import Store
 from tests.bench.conftest import PLUGINS, write_dataset
 from tests.fire.attack import REAL, Tally, work_folder
 

@@ -28,10 +28,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.bundle import MANIFEST, write_bundle
-from bench.store import Store
-from datasets.memory import peak_host_bytes
-from datasets.seals import sealed, unsealed
+from econgs_bench.bench.bundle import MANIFEST, write_bundle
+from econgs_bench.bench.store import Store
+from econgs_bench.datasets.memory import peak_host_bytes
+from econgs_bench.datasets.seals import sealed, unsealed
 from tests.bench.conftest import Bench, write_dataset
 from tests.bench.test_bundle import resigned
 from tests.bench.test_strangers import BOMBS, COMMANDS, LEAD_OUT, LINKS, NUMBERS, deflated, files_of
@@ -349,9 +349,9 @@ for line in sys.stdin:
 
 def accepted(method: str, folder: str) -> str:
     """Reads a model as a command does, which decodes in a process of its own: refused, read or a fault."""
-    from datasets.errors import DataError
-    from methods.contract.scene import cameras
-    from methods.registry import Registry, load_method
+    from econgs_bench.datasets.errors import DataError
+    from econgs_bench.methods.contract.scene import cameras
+    from econgs_bench.methods.registry import Registry, load_method
 
     try:
         model = load_method(Registry().spec(method)).load(Path(folder), "cpu")
@@ -573,7 +573,7 @@ def main(arguments: list[str] | None = None) -> int:
         finished.run()
         watch = Watch(folder / "victim" / "home")
         victim = Victim(folder / "victim", finished, watch)
-        from methods.registry import Registry
+        from econgs_bench.methods.registry import Registry
 
         attacks: dict[str, Callable[[], None]] = {
             "names": lambda: attack_names(victim, LEAD_OUT, ("run", "merge", "repair", "bundle"), tally),

@@ -29,14 +29,14 @@ from typing import Any
 
 import torch
 
-from bench.provenance import provenance
-from econgs.anchors.decode import decode
-from econgs.anchors.decoders import Decoders
-from econgs.splat import trusted_values
-from methods.contract.scene import tiny_scene
-from methods.interface import Budget
-from methods.options import resolve
-from methods.registry import Registry, load_method
+from econgs_bench.bench.provenance import provenance
+from econgs_bench.econgs.anchors.decode import decode
+from econgs_bench.econgs.anchors.decoders import Decoders
+from econgs_bench.econgs.splat import trusted_values
+from econgs_bench.methods.contract.scene import tiny_scene
+from econgs_bench.methods.interface import Budget
+from econgs_bench.methods.options import resolve
+from econgs_bench.methods.registry import Registry, load_method
 
 ROOT = Path(__file__).resolve().parents[2]
 SUITE = Path(__file__).with_name("suite.toml")
@@ -139,7 +139,7 @@ def launches(device: str, anchors: int, rounds: int = 5) -> dict[str, float]:
 
 def runs(suite: Path, store: Path, device: str, end: float) -> int:
     """Run a suite until a time of the monotonic clock; the exit code of ``bench run``."""
-    command = [sys.executable, "-P", "-m", "bench", "run", str(suite), "--device", device]
+    command = [sys.executable, "-P", "-m", "econgs_bench.bench", "run", str(suite), "--device", device]
     process = subprocess.Popen([*command, "--out", str(store), "--no-report"])
     try:
         return process.wait(max(1.0, end - time.monotonic()))
@@ -182,7 +182,7 @@ def main() -> int:
             figures[name] = {"error": f"{type(error).__name__}: {error}"}
         print(f"{name}: {figures[name]}, {time.monotonic() - begin:.0f} s", flush=True)
         (options.out / "gpu.json").write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
-    bundle = [sys.executable, "-P", "-m", "bench", "bundle", "--runs", str(options.out / "runs")]
+    bundle = [sys.executable, "-P", "-m", "econgs_bench.bench", "bundle", "--runs", str(options.out / "runs")]
     subprocess.run([*bundle, "--out", str(options.out / "runs.zip")], check=False)
     broken = any(isinstance(one, dict) and "error" in one for one in figures.values())
     return int(broken or figures["runs"] not in (0, 130) or bool(figures.get("oracle", {}).get("failed")))

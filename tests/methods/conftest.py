@@ -7,12 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from datasets.cloud import PointCloud
-from methods.contract import checks
-from methods.contract.scene import look_at, tiny_gaussians, tiny_scene
-from methods.interface import Budget
-from methods.options import resolve
-from methods.registry import Registry, load_method
+from econgs_bench.datasets.cloud import PointCloud
+from econgs_bench.methods.contract import checks
+from econgs_bench.methods.contract.scene import look_at, tiny_gaussians, tiny_scene
+from econgs_bench.methods.interface import Budget
+from econgs_bench.methods.options import resolve
+from econgs_bench.methods.registry import Registry, load_method
 
 
 class Fits:

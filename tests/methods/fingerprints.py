@@ -69,10 +69,10 @@ def fingerprint(name: str) -> dict[str, Any]:
     """Settings of every preset and configuration, and what fits with those of "quick" come to."""
     import torch
 
-    from methods.contract.checks import Subject
-    from methods.interface import PRESETS
-    from methods.options import CONFIGURATION, declared, resolve
-    from methods.registry import Registry, load_method
+    from econgs_bench.methods.contract.checks import Subject
+    from econgs_bench.methods.interface import PRESETS
+    from econgs_bench.methods.options import CONFIGURATION, declared, resolve
+    from econgs_bench.methods.registry import Registry, load_method
 
     torch.set_num_threads(1)
     spec = Registry().spec(name)
@@ -95,7 +95,7 @@ def arithmetic() -> dict[str, str]:
     import numpy as np
     import torch
 
-    from econgs.splat import native
+    from econgs_bench.econgs.splat import native
 
     module = Path(native._native.__file__).read_bytes()
     compiler = re.search(rb"GCC: \([^)]*\) [\d.]+|clang version [\d.]+", module)
@@ -133,8 +133,8 @@ def _processor() -> str:
 
 def _fit(subject: Any) -> dict[str, Any]:
     """Losses of every iteration, primitives, and the bytes and pictures of the saved model."""
-    from methods.contract.checks import Recorder, files_of
-    from methods.contract.scene import cameras
+    from econgs_bench.methods.contract.checks import Recorder, files_of
+    from econgs_bench.methods.contract.scene import cameras
 
     recorder = Recorder()
     scenes = [subject.tiny("one"), subject.tiny("two", 0.15)] if subject.spec.joint else [subject.tiny("one")]
@@ -245,7 +245,7 @@ def verdict(name: str, now: dict[str, Any], past: dict[str, Any] | None) -> str:
 
 
 def main() -> int:
-    from methods.registry import Registry
+    from econgs_bench.methods.registry import Registry
 
     parser = argparse.ArgumentParser(description="Compare or record the fingerprints of the methods.")
     parser.add_argument("methods", nargs="*", metavar="METHOD", help="default: all built-in ones")

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from methods.contract.checks import Recorder, Subject
-from methods.registry import Registry, load_method
+from econgs_bench.methods.contract.checks import Recorder, Subject
+from econgs_bench.methods.registry import Registry, load_method
 
 
 @pytest.fixture(params=["3dgs", "vq-3dgs", "scaffold-gs", "hac"])

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.errors import DataError
-from econgs.anchors.direct import NETWORKS, ColorDecoders, decode_colors
-from methods.gaussian_splatting.ply import properties, read_ply, write_ply
-from methods.hac.training import Trainer as HacTrainer
-from methods.interface import EstimatesBytes, Refused
-from methods.scaffold_gs.model import parts_of
-from methods.scaffold_gs.schedule import Schedule
-from methods.scaffold_gs.training import Trainer as ScaffoldTrainer
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.econgs.anchors.direct import NETWORKS, ColorDecoders, decode_colors
+from econgs_bench.methods.gaussian_splatting.ply import properties, read_ply, write_ply
+from econgs_bench.methods.hac.training import Trainer as HacTrainer
+from econgs_bench.methods.interface import EstimatesBytes, Refused
+from econgs_bench.methods.scaffold_gs.model import parts_of
+from econgs_bench.methods.scaffold_gs.schedule import Schedule
+from econgs_bench.methods.scaffold_gs.training import Trainer as ScaffoldTrainer
 from tests.methods.conftest import Fits
 
 SMALL = {"features": 16, "offsets": 4, "voxel": 0.01}

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.errors import DataError
-from econgs.splat import LowPass
-from methods.baking.bake import baked, exact
-from methods.baking.distil import distilled
-from methods.contract.scene import away, cameras
-from methods.formats.gaussians import scene_of
-from methods.gaussian_splatting.model import GaussianModel
-from methods.shared.rendering import Rendering
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.econgs.splat import LowPass
+from econgs_bench.methods.baking.bake import baked, exact
+from econgs_bench.methods.baking.distil import distilled
+from econgs_bench.methods.contract.scene import away, cameras
+from econgs_bench.methods.formats.gaussians import scene_of
+from econgs_bench.methods.gaussian_splatting.model import GaussianModel
+from econgs_bench.methods.shared.rendering import Rendering
 
 CLOUD = LowPass(variance=0.03, compensated=True, ray_power=1.0)
 """How models are drawn by default here, and no viewer draws."""

@@ -10,16 +10,16 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 
-from datasets.errors import DataError
-from econgs.factors.rays import Region
-from econgs.rays import camera_rays
-from econgs.splat.sh import spherical_harmonics
-from methods.ccnerf.field import SCALE, SHIFT, Factors, trace
-from methods.ccnerf.model import CpModel
-from methods.ccnerf.schedule import Schedule
-from methods.ccnerf.training import Trainer
-from methods.contract.scene import look_at
-from methods.interface import Edit, Refused
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.econgs.factors.rays import Region
+from econgs_bench.econgs.rays import camera_rays
+from econgs_bench.econgs.splat.sh import spherical_harmonics
+from econgs_bench.methods.ccnerf.field import SCALE, SHIFT, Factors, trace
+from econgs_bench.methods.ccnerf.model import CpModel
+from econgs_bench.methods.ccnerf.schedule import Schedule
+from econgs_bench.methods.ccnerf.training import Trainer
+from econgs_bench.methods.contract.scene import look_at
+from econgs_bench.methods.interface import Edit, Refused
 from tests.methods.conftest import Fits
 
 fit = Fits("ccnerf", density_ranks=8, ranks=8, groups=3, first_side=16, side=28, rays=384)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 import torch
 
-from datasets.errors import DataError
-from methods.coded.model import CodedModel
-from methods.coded.spec import CODECS, DEFAULT, SPEC
-from methods.gaussian_splatting.spec import SPEC as PLAIN
-from methods.interface import Refused, check_ledger
-from reports.style import RATES, label
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.methods.coded.model import CodedModel
+from econgs_bench.methods.coded.spec import CODECS, DEFAULT, SPEC
+from econgs_bench.methods.gaussian_splatting.spec import SPEC as PLAIN
+from econgs_bench.methods.interface import Refused, check_ledger
+from econgs_bench.reports.style import RATES, label
 from tests.methods.test_formats import asymmetric
 
 

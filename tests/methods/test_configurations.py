@@ -4,11 +4,11 @@ from dataclasses import make_dataclass, replace
 
 import pytest
 
-from datasets.errors import DataError, UnknownName
-from methods.interface import Configuration, option
-from methods.options import resolve
-from methods.registry import Registry, check_spec
-from methods.scaffold_gs.spec import SPEC
+from econgs_bench.datasets.errors import DataError, UnknownName
+from econgs_bench.methods.interface import Configuration, option
+from econgs_bench.methods.options import resolve
+from econgs_bench.methods.registry import Registry, check_spec
+from econgs_bench.methods.scaffold_gs.spec import SPEC
 
 
 def test_what_is_set_overlays_the_configuration_which_overlays_the_preset():

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.errors import DataError
-from methods.contract.checks import CHECKS, Recorder, Subject, files_of, run_checks
-from methods.gaussian_splatting.method import GaussianSplatting
-from methods.gaussian_splatting.model import GaussianModel
-from methods.gaussian_splatting.spec import SPEC as PLAIN
-from methods.gaussian_splatting.training import Trainer
-from methods.interface import Diverged, Edit, RateKnob
-from methods.options import CONFIGURATION, resolve
-from methods.registry import Registry, load_method
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.methods.contract.checks import CHECKS, Recorder, Subject, files_of, run_checks
+from econgs_bench.methods.gaussian_splatting.method import GaussianSplatting
+from econgs_bench.methods.gaussian_splatting.model import GaussianModel
+from econgs_bench.methods.gaussian_splatting.spec import SPEC as PLAIN
+from econgs_bench.methods.gaussian_splatting.training import Trainer
+from econgs_bench.methods.interface import Diverged, Edit, RateKnob
+from econgs_bench.methods.options import CONFIGURATION, resolve
+from econgs_bench.methods.registry import Registry, load_method
 
 ANCHORS = {"features": 16, "offsets": 4, "voxel": 0.01, "growth_gradient": 0.0}
 SMALL = {

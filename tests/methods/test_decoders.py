@@ -13,12 +13,12 @@ import imagecodecs
 import numpy as np
 import pytest
 
-from datasets.bounded import DEPTH, array_of, inflated, json_of, room
-from datasets.errors import DataError
-from methods.shared import decoders
-from methods.shared.decoders import decoded, own_streams
-from methods.volume.codecs import Sz3, Zfp
-from methods.volume.stored import _HEAD, _MAGIC, Samples, read
+from econgs_bench.datasets.bounded import DEPTH, array_of, inflated, json_of, room
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.methods.shared import decoders
+from econgs_bench.methods.shared.decoders import decoded, own_streams
+from econgs_bench.methods.volume.codecs import Sz3, Zfp
+from econgs_bench.methods.volume.stored import _HEAD, _MAGIC, Samples, read
 
 SHAPE = (9, 10, 11)
 
@@ -85,7 +85,7 @@ def test_what_a_library_does_not_survive_is_an_error_here(grid, monkeypatch, tmp
     (tmp_path / "faulty_decoders.py").write_text(code)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setattr(decoders, "__name__", "faulty_decoders")
-    monkeypatch.setattr("datasets.readers.sandbox.PATIENCE", 5.0)
+    monkeypatch.setattr("econgs_bench.datasets.readers.sandbox.PATIENCE", 5.0)
     with pytest.raises(ValueError, match=words):
         decoded("zfp", zfp(grid, mode="a", level=1e-3), shape=list(SHAPE))
 

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import scratch
-from datasets.errors import DataError
-from datasets.scene import Light
-from econgs.anchors.colors import offset_colors
-from methods.econgs import model as econgs_model
-from methods.econgs.memory import group_bytes
-from methods.econgs.model import Group
-from methods.econgs.spec import EcongsOptions
-from methods.econgs.training import Trainer
-from methods.interface import Edit, HasAttributes, HasDecoders, Refused, SceneInput
+from econgs_bench.datasets import scratch
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.scene import Light
+from econgs_bench.econgs.anchors.colors import offset_colors
+from econgs_bench.methods.econgs import model as econgs_model
+from econgs_bench.methods.econgs.memory import group_bytes
+from econgs_bench.methods.econgs.model import Group
+from econgs_bench.methods.econgs.spec import EcongsOptions
+from econgs_bench.methods.econgs.training import Trainer
+from econgs_bench.methods.interface import Edit, HasAttributes, HasDecoders, Refused, SceneInput
 from tests.methods.conftest import Fits
 
 fit = Fits("econgs", features=16, hidden=24, embedding=8, offsets=4, voxel=0.01, rate_weight=1e-3)
@@ -333,12 +333,12 @@ def test_folded_embeddings_make_the_same_pictures_in_fewer_bytes(tiny, scene):
 @pytest.mark.slow
 def test_an_edited_palette_looks_like_the_edited_scene(tiny):
     """Against the renderer: the picture that was never trained is nearly as good as those that were."""
-    from bench.edits import edit_of
-    from bench.jobs.scenes import camera_extent
-    from datasets.catalogue import open_dataset
-    from datasets.cloud import initial_cloud
-    from datasets.render_views import views_of
-    from datasets.views import ViewRequest
+    from econgs_bench.bench.edits import edit_of
+    from econgs_bench.bench.jobs.scenes import camera_extent
+    from econgs_bench.datasets.catalogue import open_dataset
+    from econgs_bench.datasets.cloud import initial_cloud
+    from econgs_bench.datasets.render_views import views_of
+    from econgs_bench.datasets.views import ViewRequest
 
     dataset = open_dataset("shells")
     train, test, blue = (

@@ -10,18 +10,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from datasets.cloud import PointCloud
-from econgs.context.arrays import round_arrays, write_arrays
-from methods.econgs.control import RateControl
-from methods.econgs.model import EcongsModel
-from methods.econgs.schedule import Schedule
-from methods.econgs.spec import SPEC
-from methods.econgs.start import starting_points
-from methods.econgs.training import Trainer, growth_threshold
-from methods.interface import Refused
-from methods.options import resolve
-from methods.shared.rent import some_views, who_stays
-from methods.shared.start import first_of_cells
+from econgs_bench.datasets.cloud import PointCloud
+from econgs_bench.econgs.context.arrays import round_arrays, write_arrays
+from econgs_bench.methods.econgs.control import RateControl
+from econgs_bench.methods.econgs.model import EcongsModel
+from econgs_bench.methods.econgs.schedule import Schedule
+from econgs_bench.methods.econgs.spec import SPEC
+from econgs_bench.methods.econgs.start import starting_points
+from econgs_bench.methods.econgs.training import Trainer, growth_threshold
+from econgs_bench.methods.interface import Refused
+from econgs_bench.methods.options import resolve
+from econgs_bench.methods.shared.rent import some_views, who_stays
+from econgs_bench.methods.shared.start import first_of_cells
 from tests.methods.conftest import Fits
 
 options = Fits("econgs", features=16, hidden=24, embedding=8, offsets=4, voxel=0.01).options

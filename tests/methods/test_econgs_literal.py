@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from methods.econgs.schedule import Schedule
-from methods.econgs.training import Trainer, make_schedule
+from econgs_bench.methods.econgs.schedule import Schedule
+from econgs_bench.methods.econgs.training import Trainer, make_schedule
 from tests.methods.conftest import Fits
 
 fit = Fits("econgs", features=16, hidden=24, embedding=8, offsets=4, voxel=0.01)

@@ -7,16 +7,16 @@ import sys
 
 import pytest
 
-from bench.__main__ import main
-from methods.contract import checks
-from methods.failures import Failure, failure
-from methods.registry import Registry
-from methods.skeleton import files
+from econgs_bench.bench.__main__ import main
+from econgs_bench.methods.contract import checks
+from econgs_bench.methods.failures import Failure, failure
+from econgs_bench.methods.registry import Registry
+from econgs_bench.methods.skeleton import files
 
 PLUGIN = """
 import errno, os
-from methods.interface import MethodSpec
-from methods.options import parse_assignments
+from econgs_bench.methods.interface import MethodSpec
+from econgs_bench.methods.options import parse_assignments
 
 SPEC = MethodSpec(
     name="culprit", title="t", reference="r", version="1", implementation="culprit:Method", uses_alpha="no",

@@ -6,7 +6,7 @@ import copy
 
 import pytest
 
-from methods.registry import Registry
+from econgs_bench.methods.registry import Registry
 from tests.methods import fingerprints
 
 

@@ -19,12 +19,19 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
-from datasets.errors import DataError
-from econgs.splat.sh import spherical_harmonics
-from econgs.splat.torch_backend import rotations
-from methods.formats import glb, integer, ply, sog, spz, zstd
-from methods.formats.gaussians import LEFT_UP_FRONT, RIGHT_UP_BACK, degree_of, drawable, scene_of, tables
-from methods.interface import Refused
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.econgs.splat.sh import spherical_harmonics
+from econgs_bench.econgs.splat.torch_backend import rotations
+from econgs_bench.methods.formats import glb, integer, ply, sog, spz, zstd
+from econgs_bench.methods.formats.gaussians import (
+    LEFT_UP_FRONT,
+    RIGHT_UP_BACK,
+    degree_of,
+    drawable,
+    scene_of,
+    tables,
+)
+from econgs_bench.methods.interface import Refused
 
 READ_AND_WRITTEN = {"ply": ply, "zstd": zstd, "spz": spz, "sog": sog, "integer": integer}
 COUNT = 300

@@ -5,9 +5,15 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from econgs.optim import Adam
-from methods.gaussian_splatting.densify import GrowthRules, GrowthStatistics, capped_logits, grow, rotate
-from methods.gaussian_splatting.training import PARAMETERS
+from econgs_bench.econgs.optim import Adam
+from econgs_bench.methods.gaussian_splatting.densify import (
+    GrowthRules,
+    GrowthStatistics,
+    capped_logits,
+    grow,
+    rotate,
+)
+from econgs_bench.methods.gaussian_splatting.training import PARAMETERS
 
 SHAPES = {"means": (3,), "log_scales": (3,), "quats": (4,), "logits": (), "sh_dc": (1, 3), "sh_rest": (15, 3)}
 RULES = GrowthRules(gradient=2e-4, dense_scale=0.04, prune_opacity=0.005, extent=4.0, limit=0)

@@ -6,12 +6,12 @@ import torch
 from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
-from econgs.splat import LINEAGE, LowPass, rasterise
-from methods.contract.scene import look_at
-from methods.gaussian_mcmc.chain import noise, shared_opacity
-from methods.gaussian_mcmc.schedule import Schedule
-from methods.gaussian_mcmc.training import McmcTrainer
-from methods.shared.units import in_units
+from econgs_bench.econgs.splat import LINEAGE, LowPass, rasterise
+from econgs_bench.methods.contract.scene import look_at
+from econgs_bench.methods.gaussian_mcmc.chain import noise, shared_opacity
+from econgs_bench.methods.gaussian_mcmc.schedule import Schedule
+from econgs_bench.methods.gaussian_mcmc.training import McmcTrainer
+from econgs_bench.methods.shared.units import in_units
 from tests.methods.conftest import Fits
 
 fit = Fits("3dgs-mcmc", cap=200)

@@ -4,11 +4,11 @@ import math
 import pytest
 import torch
 
-from datasets.errors import DataError
-from econgs.splat.rasterise import rasterise
-from methods.gaussian_splatting.method import GaussianSplatting
-from methods.gaussian_splatting.model import GaussianModel, SceneGaussians
-from methods.interface import Edit, Refused, check_ledger
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.econgs.splat.rasterise import rasterise
+from econgs_bench.methods.gaussian_splatting.method import GaussianSplatting
+from econgs_bench.methods.gaussian_splatting.model import GaussianModel, SceneGaussians
+from econgs_bench.methods.interface import Edit, Refused, check_ledger
 
 SH_C0 = 0.5 / math.sqrt(math.pi)
 

@@ -7,9 +7,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from datasets.errors import DataError
-from methods.gaussian_splatting.model import SceneGaussians
-from methods.gaussian_splatting.ply import PARTS, properties, read_ply, write_ply
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.methods.gaussian_splatting.model import SceneGaussians
+from econgs_bench.methods.gaussian_splatting.ply import PARTS, properties, read_ply, write_ply
 
 
 def gaussians(count, seed=0):

@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from methods.gaussian_splatting.schedule import Schedule
+from econgs_bench.methods.gaussian_splatting.schedule import Schedule
 
 
 def events(predicate, iterations):

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 import torch
 
-from econgs.points import neighbour_distances
-from methods.gaussian_splatting.training import Trainer
-from methods.interface import Diverged, Refused
+from econgs_bench.econgs.points import neighbour_distances
+from econgs_bench.methods.gaussian_splatting.training import Trainer
+from econgs_bench.methods.interface import Diverged, Refused
 from tests.methods.conftest import Fits
 
 fit = Fits("3dgs")

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.errors import DataError
-from methods.hac_plus.training import Trainer
-from methods.interface import Refused
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.methods.hac_plus.training import Trainer
+from econgs_bench.methods.interface import Refused
 from tests.methods.conftest import Fits
 
 SMALL = {"features": 16, "offsets": 4, "voxel": 0.01, "grid": "small", "context_hidden": 24}

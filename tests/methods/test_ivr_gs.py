@@ -7,14 +7,21 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.errors import DataError
-from datasets.scene import Light
-from methods.interface import Edit, Refused
-from methods.ivr_gs.losses import depth_normals, normal_loss, smoothness_loss
-from methods.ivr_gs.model import FORMAT, WIDTHS, IvrModel, Stored, attributes_with_codebooks, ready
-from methods.ivr_gs.schedule import IvrSchedule
-from methods.ivr_gs.training import IvrTrainer
-from methods.shared.training import SceneLabel
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.scene import Light
+from econgs_bench.methods.interface import Edit, Refused
+from econgs_bench.methods.ivr_gs.losses import depth_normals, normal_loss, smoothness_loss
+from econgs_bench.methods.ivr_gs.model import (
+    FORMAT,
+    WIDTHS,
+    IvrModel,
+    Stored,
+    attributes_with_codebooks,
+    ready,
+)
+from econgs_bench.methods.ivr_gs.schedule import IvrSchedule
+from econgs_bench.methods.ivr_gs.training import IvrTrainer
+from econgs_bench.methods.shared.training import SceneLabel
 from tests.methods.conftest import Fits
 
 fit = Fits("ivr-gs", max_gaussians=500)

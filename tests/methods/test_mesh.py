@@ -13,17 +13,17 @@ import pytest
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkIOPLY import vtkPLYReader
 
-from datasets.edits import Edit, edited
-from datasets.errors import DataError
-from datasets.ground_truth.model import Layer
-from datasets.ground_truth.reference import ReferenceMarcher
-from datasets.scene import BasicScene, Isosurface, Light
-from datasets.volume import Volume
-from methods.contract.scene import look_at, tiny_scene
-from methods.interface import Budget, Refused, SceneInput
-from methods.mesh.geometry import decimated, distance, extracted, level_of
-from methods.mesh.method import MeshMethod
-from methods.mesh.spec import MeshOptions
+from econgs_bench.datasets.edits import Edit, edited
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.ground_truth.model import Layer
+from econgs_bench.datasets.ground_truth.reference import ReferenceMarcher
+from econgs_bench.datasets.scene import BasicScene, Isosurface, Light
+from econgs_bench.datasets.volume import Volume
+from econgs_bench.methods.contract.scene import look_at, tiny_scene
+from econgs_bench.methods.interface import Budget, Refused, SceneInput
+from econgs_bench.methods.mesh.geometry import decimated, distance, extracted, level_of
+from econgs_bench.methods.mesh.method import MeshMethod
+from econgs_bench.methods.mesh.spec import MeshOptions
 
 EXACT = MeshOptions(kept=1.0, coding="ply")
 BALL = Isosurface("ball", 0.5, (0.9, 0.5, 0.2))
@@ -286,7 +286,7 @@ def test_a_missing_package_is_refused_with_the_remedy(monkeypatch, package):
 
 
 def test_a_machine_without_egl_is_refused_with_the_remedy():
-    code = "from methods.mesh.canvas import Canvas; Canvas()"
+    code = "from econgs_bench.methods.mesh.canvas import Canvas; Canvas()"
     hidden = dict.fromkeys(("__EGL_VENDOR_LIBRARY_DIRS", "__EGL_VENDOR_LIBRARY_FILENAMES"), "/nowhere")
     done = subprocess.run(
         [sys.executable, "-c", code],

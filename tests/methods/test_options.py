@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from datasets.errors import DataError, UnknownName
-from methods import reference
-from methods.econgs.spec import SPEC as ECONGS
-from methods.gaussian_splatting.spec import SPEC, GaussianOptions
-from methods.interface import Option
-from methods.options import check, declared, parse_assignments, resolve
-from methods.registry import Registry
-from methods.vq_3dgs.spec import VqOptions
+from econgs_bench.datasets.errors import DataError, UnknownName
+from econgs_bench.methods import reference
+from econgs_bench.methods.econgs.spec import SPEC as ECONGS
+from econgs_bench.methods.gaussian_splatting.spec import SPEC, GaussianOptions
+from econgs_bench.methods.interface import Option
+from econgs_bench.methods.options import check, declared, parse_assignments, resolve
+from econgs_bench.methods.registry import Registry
+from econgs_bench.methods.vq_3dgs.spec import VqOptions
 
 
 def test_preset_overlays_defaults_and_the_user_overlays_the_preset():
@@ -140,5 +140,5 @@ def test_one_option_set_twice_is_refused():
 def test_the_page_of_options_is_current():
     page = Path(__file__).parents[2] / "docs" / "reference" / "options.md"
     assert page.read_text(encoding="utf-8") == reference.page(), (
-        "python -m methods.reference > docs/reference/options.md"
+        "python -m econgs_bench.methods.reference > docs/reference/options.md"
     )

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.errors import DataError
-from econgs.voxels import occupied
-from methods.contract.scene import tiny_scene
-from methods.interface import Edit, Refused
-from methods.plenoxels.model import PER_VOXEL, VoxelModel
-from methods.plenoxels.region import Hull, first_grid
-from methods.plenoxels.schedule import Schedule
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.econgs.voxels import occupied
+from econgs_bench.methods.contract.scene import tiny_scene
+from econgs_bench.methods.interface import Edit, Refused
+from econgs_bench.methods.plenoxels.model import PER_VOXEL, VoxelModel
+from econgs_bench.methods.plenoxels.region import Hull, first_grid
+from econgs_bench.methods.plenoxels.schedule import Schedule
 from tests.methods.conftest import Fits, Recorder, psnr
 
 fit = Fits("plenoxels", resolution=28, rays=800)

@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.errors import DataError
-from datasets.units import camera_in_units, cloud_in_units, scene_in_units, views_in_units
-from econgs.splat import LINEAGE
-from methods.contract.checks import Subject
-from methods.contract.scene import cameras, tiny_scene
-from methods.interface import OptionValue, Refused, SceneInput
-from methods.registry import Registry, load_method
-from methods.shared.rendering import FILE
-from methods.shared.splatting import PUBLISHED
-from methods.shared.units import units_of
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.units import camera_in_units, cloud_in_units, scene_in_units, views_in_units
+from econgs_bench.econgs.splat import LINEAGE
+from econgs_bench.methods.contract.checks import Subject
+from econgs_bench.methods.contract.scene import cameras, tiny_scene
+from econgs_bench.methods.interface import OptionValue, Refused, SceneInput
+from econgs_bench.methods.registry import Registry, load_method
+from econgs_bench.methods.shared.rendering import FILE
+from econgs_bench.methods.shared.splatting import PUBLISHED
+from econgs_bench.methods.shared.units import units_of
 from tests.methods.conftest import Fits, Recorder
 
 NAMES = ("3dgs", "vq-3dgs", "scaffold-gs", "hac", "ivr-gs", "econgs")

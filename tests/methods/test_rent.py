@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from methods.contract.scene import tiny_scene
+from econgs_bench.methods.contract.scene import tiny_scene
 from tests.methods.conftest import Fits, Recorder
 from tests.methods.test_start import METHODS
 

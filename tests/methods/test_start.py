@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from methods.contract.scene import tiny_scene
-from methods.shared.start import first_of_cells, pixel_size, thinned
+from econgs_bench.methods.contract.scene import tiny_scene
+from econgs_bench.methods.shared.start import first_of_cells, pixel_size, thinned
 from tests.methods.conftest import Fits, Recorder
 
 METHODS = (

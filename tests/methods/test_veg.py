@@ -9,21 +9,21 @@ import pytest
 import torch
 from scipy.ndimage import map_coordinates
 
-from datasets.cloud import PointCloud
-from datasets.edits import Edit, edited
-from datasets.errors import DataError
-from datasets.ground_truth.model import Layer
-from datasets.ground_truth.reference import ReferenceMarcher
-from datasets.scene import BasicScene, Light
-from datasets.transfer import Bump, TransferFunction
-from datasets.units import camera_in_units, cloud_in_units, scene_in_units, views_in_units
-from datasets.volume import Volume
-from methods.contract.scene import tiny_scene
-from methods.interface import Diverged, Refused
-from methods.shared.rendering import Rendering
-from methods.veg.appearance import Appearance, scene_as_json, scene_from_json
-from methods.veg.field import gradients_at, values_at
-from methods.veg.model import (
+from econgs_bench.datasets.cloud import PointCloud
+from econgs_bench.datasets.edits import Edit, edited
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.ground_truth.model import Layer
+from econgs_bench.datasets.ground_truth.reference import ReferenceMarcher
+from econgs_bench.datasets.scene import BasicScene, Light
+from econgs_bench.datasets.transfer import Bump, TransferFunction
+from econgs_bench.datasets.units import camera_in_units, cloud_in_units, scene_in_units, views_in_units
+from econgs_bench.datasets.volume import Volume
+from econgs_bench.methods.contract.scene import tiny_scene
+from econgs_bench.methods.interface import Diverged, Refused
+from econgs_bench.methods.shared.rendering import Rendering
+from econgs_bench.methods.veg.appearance import Appearance, scene_as_json, scene_from_json
+from econgs_bench.methods.veg.field import gradients_at, values_at
+from econgs_bench.methods.veg.model import (
     WIDTHS,
     Field,
     Group,
@@ -33,8 +33,8 @@ from methods.veg.model import (
     mean_lengths,
     visible_rows,
 )
-from methods.veg.schedule import VegSchedule
-from methods.veg.training import VegTrainer, greatest_opacities
+from econgs_bench.methods.veg.schedule import VegSchedule
+from econgs_bench.methods.veg.training import VegTrainer, greatest_opacities
 from tests.methods.conftest import Fits
 
 fit = Fits("veg", max_gaussians=2000)

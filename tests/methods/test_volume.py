@@ -11,21 +11,21 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter
 
-from datasets.cloud import PointCloud
-from datasets.edits import Edit
-from datasets.errors import DataError
-from datasets.render_views import live_renderer, views_of
-from datasets.scene import BasicScene, Dataset, Isosurface, Light
-from datasets.transfer import Bump, TransferFunction
-from datasets.view_cache import ViewCache
-from datasets.views import ViewRequest
-from datasets.volume import Volume
-from methods.contract.checks import Recorder, Subject
-from methods.interface import Budget, Refused, SceneInput
-from methods.options import resolve
-from methods.registry import Registry, load_method
-from methods.volume.codecs import Sz3, Zfp
-from methods.volume.stored import Samples, read
+from econgs_bench.datasets.cloud import PointCloud
+from econgs_bench.datasets.edits import Edit
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.render_views import live_renderer, views_of
+from econgs_bench.datasets.scene import BasicScene, Dataset, Isosurface, Light
+from econgs_bench.datasets.transfer import Bump, TransferFunction
+from econgs_bench.datasets.view_cache import ViewCache
+from econgs_bench.datasets.views import ViewRequest
+from econgs_bench.datasets.volume import Volume
+from econgs_bench.methods.contract.checks import Recorder, Subject
+from econgs_bench.methods.interface import Budget, Refused, SceneInput
+from econgs_bench.methods.options import resolve
+from econgs_bench.methods.registry import Registry, load_method
+from econgs_bench.methods.volume.codecs import Sz3, Zfp
+from econgs_bench.methods.volume.stored import Samples, read
 
 TEST = ViewRequest("test", 12, 3, 32, 32, samples=1)
 FOG = TransferFunction("fog", (Bump("b", 0.3, 0.45, 0.6, 0.8, (0.9, 0.4, 0.2), 0.5),), 0.05)
@@ -253,8 +253,8 @@ def test_more_bytes_are_better_pictures(data, cache, name, tmp_path):
 
 
 def test_without_mitsuba_the_reference_marcher_draws(data, cache, monkeypatch):
-    from datasets.ground_truth.probe import Backend
-    from methods.volume import model as module
+    from econgs_bench.datasets.ground_truth.probe import Backend
+    from econgs_bench.methods.volume import model as module
 
     model = fitted("sz3", inputs(data, cache, ("shell",)), error_bound=1e-6)
     monkeypatch.setattr(module, "find_backend", lambda cuda: Backend("none"))

@@ -9,13 +9,13 @@ import pytest
 import torch
 from safetensors import safe_open
 
-from datasets.errors import DataError
-from econgs.codebooks import Codebook
-from methods.gaussian_splatting.training import PARAMETERS, Trainer
-from methods.interface import Refused
-from methods.shared.quantised_scene import QuantisedScene, placed, read_folder
-from methods.vq_3dgs.model import gaussians, grouped, quantised
-from methods.vq_3dgs.training import VqTrainer
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.econgs.codebooks import Codebook
+from econgs_bench.methods.gaussian_splatting.training import PARAMETERS, Trainer
+from econgs_bench.methods.interface import Refused
+from econgs_bench.methods.shared.quantised_scene import QuantisedScene, placed, read_folder
+from econgs_bench.methods.vq_3dgs.model import gaussians, grouped, quantised
+from econgs_bench.methods.vq_3dgs.training import VqTrainer
 from tests.methods.conftest import Fits
 from tests.methods.test_formats import asymmetric
 
@@ -157,7 +157,7 @@ def test_files_whose_ids_are_all_entropy_coded_are_read(tmp_path, monkeypatch):
     book = Codebook(torch.linspace(-1, 1, 64)[:, None].half().float(), torch.arange(100) % 64)
     scene = QuantisedScene("tiny", (1.0, 1.0, 1.0), {}, torch.zeros(100, 3), {"a": (book,)}, "entropy")
     with monkeypatch.context() as patch:
-        patch.setattr("methods.shared.quantised_scene.pack_ids", lambda book: bytes(1000))
+        patch.setattr("econgs_bench.methods.shared.quantised_scene.pack_ids", lambda book: bytes(1000))
         assert scene.write(tmp_path, "ids")["a"] > 75
     ((again, _),) = read_folder(tmp_path, "m", "ids", {"a": 1}, lambda one: one)
     assert torch.equal(again.column("a", 1), scene.column("a", 1))

@@ -36,6 +36,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PLANTS = Path(__file__).with_name("plants.toml")
 CONTROL = "control"
 FINGERPRINT = "tests/methods/test_fingerprints.py::test_results_are_as_recorded_for_their_version[{}]"
+_PACKAGES = ("bench", "datasets", "econgs", "methods", "reports")
 _CHECKOUT = ("bench", "datasets", "econgs", "methods", "native", "reports", "tests", "docs",
              "CMakeLists.txt", "pyproject.toml", "CHANGELOG.md", "README.md")  # fmt: skip
 
@@ -153,15 +154,22 @@ class Proof:
                 shutil.copytree(ROOT / part, copy / part, ignore=ignored)
             else:
                 shutil.copy2(ROOT / part, copy / part)
-        module = importlib.util.find_spec("econgs._native")
+        module = importlib.util.find_spec("econgs_bench.econgs._native")
         assert module is not None
         assert module.origin is not None
         shutil.copy2(module.origin, copy / "econgs")
+        package = copy / "econgs_bench"
+        package.mkdir()
+        for name in _PACKAGES:
+            (package / name).symlink_to(copy / name)
+        shutil.copy2(copy / "bench" / "package.py", package / "__init__.py")
         return copy
 
     def used(self, copy: Path) -> bool:
         """Whether commands on a copy run its code: an editable install comes before PYTHONPATH."""
-        found = _check(self._in(copy, sys.executable, "-c", "import econgs._native as m; print(m.__file__)"))
+        found = _check(
+            self._in(copy, sys.executable, "-c", "import econgs_bench.econgs._native as m; print(m.__file__)")
+        )
         return Path(found.stdout.strip()).is_relative_to(copy)
 
     def _apply(self, plant: Plant, copy: Path) -> None:
@@ -208,7 +216,7 @@ class Proof:
         """
         store = self.work / "runs" / f"{name} {method}"
         shutil.rmtree(store, ignore_errors=True)
-        bench = [sys.executable, "-m", "bench"]
+        bench = [sys.executable, "-m", "econgs_bench.bench"]
         ran = self._in(copy, *bench, "run", self.suite, "--method", method, "--no-report", "--out", store)
         done = self._in(copy, *bench, "gate", store, "--without-times", "--baseline", self.baseline)
         text = done.stdout + done.stderr

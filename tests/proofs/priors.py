@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.gate.baseline import BaselineCell, read
-from bench.gate.quantities import QUANTITIES, Quantity
-from bench.gate.spread import prior, quantile, tail, variance_of
-from bench.gate.verdict import LEVEL
+from econgs_bench.bench.gate.baseline import BaselineCell, read
+from econgs_bench.bench.gate.quantities import QUANTITIES, Quantity
+from econgs_bench.bench.gate.spread import prior, quantile, tail, variance_of
+from econgs_bench.bench.gate.verdict import LEVEL
 from tests.proofs.planted import ROOT
 
 _TESTS = 240  # of a comparison of six methods on two scenes

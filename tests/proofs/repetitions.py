@@ -22,16 +22,16 @@ from typing import Any
 
 import numpy as np
 
-from bench.gate.baseline import FORMAT, Baseline, Change, cell_of, sorted_cells
-from bench.gate.baseline import read as read_baseline
-from bench.gate.cells import VIEW_METRIC, Cell, Key, cells_of
-from bench.gate.power import power
-from bench.gate.quantities import QUANTITIES
-from bench.gate.verdict import Finding, Verdict, compare
-from bench.store import Store
-from bench.suites import load_suite
-from bench.tables import build_tables
-from methods.registry import Registry
+from econgs_bench.bench.gate.baseline import FORMAT, Baseline, Change, cell_of, sorted_cells
+from econgs_bench.bench.gate.baseline import read as read_baseline
+from econgs_bench.bench.gate.cells import VIEW_METRIC, Cell, Key, cells_of
+from econgs_bench.bench.gate.power import power
+from econgs_bench.bench.gate.quantities import QUANTITIES
+from econgs_bench.bench.gate.verdict import Finding, Verdict, compare
+from econgs_bench.bench.store import Store
+from econgs_bench.bench.suites import load_suite
+from econgs_bench.bench.tables import build_tables
+from econgs_bench.methods.registry import Registry
 
 VALUES = Path(__file__).with_name("repetitions.csv")
 """Quantities of every repetition, and the PSNR of each view; older versions of a method do not count."""
@@ -145,7 +145,7 @@ def main() -> None:
     for method in (options.method or load_suite("gate").methods) if options.seeds else ():
         lacking = sorted(set(range(options.seeds)) - set(seeds_of(every, method)))
         seeds = " ".join(f"--seed {seed}" for seed in lacking)
-        command = f"-m bench run gate --method {method} {seeds} --no-report --out".split()
+        command = f"-m econgs_bench.bench run gate --method {method} {seeds} --no-report --out".split()
         if lacking:
             subprocess.run([sys.executable, *command, str(options.store)], check=True)
     if options.store.is_dir():

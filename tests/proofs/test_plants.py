@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-import econgs
-from methods.registry import Registry
+from econgs_bench import econgs
+from econgs_bench.methods.registry import Registry
 from tests.proofs.planted import ROOT, Proof, plants
 
 

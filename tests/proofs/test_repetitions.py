@@ -2,8 +2,8 @@
 
 import pytest
 
-from bench.gate.cells import Cell, Key
-from methods.registry import Registry
+from econgs_bench.bench.gate.cells import Cell, Key
+from econgs_bench.methods.registry import Registry
 from tests.proofs import repetitions
 
 

@@ -5,9 +5,9 @@ import re
 
 import pytest
 
-from reports.clocks import BUSY, SPREAD, Clocks, decoding
-from reports.comparability import compared
-from reports.schema import frame
+from econgs_bench.reports.clocks import BUSY, SPREAD, Clocks, decoding
+from econgs_bench.reports.comparability import compared
+from econgs_bench.reports.schema import frame
 from tests.reports.conclusions.test_answers import DRAWING, TRAINING, contest, measured, pair, row, table
 
 EVEN = {"fps_p05": 80.0, "fps_p95": 120.0}

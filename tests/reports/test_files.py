@@ -7,15 +7,15 @@ import sys
 import pandas as pd
 import pytest
 
-from reports.__main__ import main
-from reports.files import write_files
-from reports.inputs import NEEDED, Unusable, read_results
-from reports.paper import documents as paper_documents
-from reports.paper import tables as papers
-from reports.paper.values import NOT_MEASURED
-from reports.schema import COLUMNS, TABLES, frame
-from reports.tables.documents import tex, to_csv, to_latex
-from reports.tables.ranks import UNDECIDED_NOTE
+from econgs_bench.reports.__main__ import main
+from econgs_bench.reports.files import write_files
+from econgs_bench.reports.inputs import NEEDED, Unusable, read_results
+from econgs_bench.reports.paper import documents as paper_documents
+from econgs_bench.reports.paper import tables as papers
+from econgs_bench.reports.paper.values import NOT_MEASURED
+from econgs_bench.reports.schema import COLUMNS, TABLES, frame
+from econgs_bench.reports.tables.documents import tex, to_csv, to_latex
+from econgs_bench.reports.tables.ranks import UNDECIDED_NOTE
 from tests.reports.conftest import fill
 from tests.reports.page.test_page import content
 from tests.reports.paper.test_paper_tables import four, paper_tables, results, row, seen, waves
@@ -192,7 +192,7 @@ def test_reports_needs_no_other_package_of_this_project(tmp_path):
     code = (
         "import sys\n"
         "for name in ('bench', 'methods', 'econgs', 'datasets', 'torch'): sys.modules[name] = None\n"
-        "from reports.__main__ import main\n"
+        "from econgs_bench.reports.__main__ import main\n"
         f"sys.exit(main(['--table', {str(csv(tmp_path, SMALL))!r}, '--out', {str(tmp_path / 'out')!r}]))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", check=False)

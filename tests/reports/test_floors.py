@@ -3,13 +3,13 @@
 import pandas as pd
 import pytest
 
-from reports.comparability import fixed_rays
-from reports.floors import NEAR, Floor, by_scene, closeness, mean, of_table
-from reports.schema import records
-from reports.tables.columns import numbers
-from reports.tables.documents import to_csv, to_markdown
-from reports.tables.means import summary
-from reports.tables.results import display, for_terminal, notes
+from econgs_bench.reports.comparability import fixed_rays
+from econgs_bench.reports.floors import NEAR, Floor, by_scene, closeness, mean, of_table
+from econgs_bench.reports.schema import records
+from econgs_bench.reports.tables.columns import numbers
+from econgs_bench.reports.tables.documents import to_csv, to_markdown
+from econgs_bench.reports.tables.means import summary
+from econgs_bench.reports.tables.results import display, for_terminal, notes
 
 
 def test_of_a_scene_what_any_row_knows_counts():

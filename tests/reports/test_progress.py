@@ -7,9 +7,9 @@ from itertools import pairwise
 
 import pytest
 
-from reports import progress
-from reports.progress import RAREST, SILENCE, Watch, hushed, step
-from reports.terminal import Terminal, terminal
+from econgs_bench.reports import progress
+from econgs_bench.reports.progress import RAREST, SILENCE, Watch, hushed, step
+from econgs_bench.reports.terminal import Terminal, terminal
 
 
 class Screen(io.StringIO):

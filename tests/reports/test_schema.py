@@ -5,14 +5,14 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from reports import reference
-from reports.schema import COLUMNS, TABLES, frame, joined
+from econgs_bench.reports import reference
+from econgs_bench.reports.schema import COLUMNS, TABLES, frame, joined
 
 
 def test_the_page_of_tables_is_current():
     page = Path(__file__).parents[2] / "docs" / "reference" / "tables.md"
     assert page.read_text(encoding="utf-8") == reference.page(), (
-        "python -m reports.reference > docs/reference/tables.md"
+        "python -m econgs_bench.reports.reference > docs/reference/tables.md"
     )
 
 

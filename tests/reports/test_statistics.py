@@ -3,10 +3,10 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from reports.statistics import Views, block_length, bootstrap_means, interval
-from reports.tables.confidence import ends, signed
-from reports.tables.documents import tex, to_latex, to_markdown
-from reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, ranks
+from econgs_bench.reports.statistics import Views, block_length, bootstrap_means, interval
+from econgs_bench.reports.tables.confidence import ends, signed
+from econgs_bench.reports.tables.documents import tex, to_latex, to_markdown
+from econgs_bench.reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, ranks
 
 
 def autoregressive(rng, count, n, rho):

@@ -13,11 +13,19 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from reports.charts import files
-from reports.charts.chart import Axis, Chart, Panel
-from reports.inputs import read_results
-from reports.tables.documents import tex, to_csv, to_markdown
-from reports.text import csv_cell, csv_text, markdown_cell, one_line, printable, short_name, xml_text
+from econgs_bench.reports.charts import files
+from econgs_bench.reports.charts.chart import Axis, Chart, Panel
+from econgs_bench.reports.inputs import read_results
+from econgs_bench.reports.tables.documents import tex, to_csv, to_markdown
+from econgs_bench.reports.text import (
+    csv_cell,
+    csv_text,
+    markdown_cell,
+    one_line,
+    printable,
+    short_name,
+    xml_text,
+)
 
 TERMINAL = "\x1b]0;title\x07\x1b[2J \x9b31m \r \x00 \u202e \u2028 \ud800"
 

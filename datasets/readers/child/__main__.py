@@ -1,4 +1,4 @@
-"""Serve one file: ``python -m datasets.readers.child LIBRARY PATH BYTES``."""
+"""Serve one file: ``python -m econgs_bench.datasets.readers.child LIBRARY PATH BYTES``."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from datasets.errors import DataError
-from datasets.readers.child.parts import Slabs
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers.child.parts import Slabs
 
 _SECONDS = 3600
 """Processor time: what hangs when its parent has gone ends too."""
@@ -23,7 +23,7 @@ def main() -> None:
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # output of libraries must not mix with the answers
     try:
-        module = import_module(f"datasets.readers.child.{library}")
+        module = import_module(f"econgs_bench.datasets.readers.child.{library}")
         _limit(int(memory))
         source = module.open_source(path)
         for line in sys.stdin:

@@ -9,8 +9,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import DataError
-from datasets.readers.child.parts import Slabs
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers.child.parts import Slabs
 
 _SLAB = 1 << 24
 _MOST = 10_000

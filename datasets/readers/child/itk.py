@@ -11,9 +11,9 @@ import numpy as np
 import SimpleITK as sitk
 from numpy.typing import NDArray
 
-from datasets.errors import DataError
-from datasets.readers.content import is_dicom, suffix_by_content
-from datasets.readers.fields import channels_of
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers.content import is_dicom, suffix_by_content
+from econgs_bench.datasets.readers.fields import channels_of
 
 
 def open_source(path: str) -> Images:

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import DataError
-from datasets.readers.child.parts import Slabs
-from datasets.readers.fields import channels_of
-from datasets.readers.lengths import in_one_unit
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers.child.parts import Slabs
+from econgs_bench.datasets.readers.fields import channels_of
+from econgs_bench.datasets.readers.lengths import in_one_unit
 
 _COLORS = (2, 5, 6, 8)
 """TIFF's photometric interpretations with colors: RGB, CMYK, YCbCr, Lab."""

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from vtkmodules.util.numpy_support import get_numpy_array_type, vtk_to_numpy
 from vtkmodules.vtkCommonExecutionModel import vtkStreamingDemandDrivenPipeline as Pipeline
 
-from datasets.errors import DataError
-from datasets.readers.content import suffix_by_content, suffix_of
-from datasets.readers.fields import channels_of
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers.content import suffix_by_content, suffix_of
+from econgs_bench.datasets.readers.fields import channels_of
 
 READERS = {
     ".vti": "vtkIOXML.vtkXMLImageDataReader",

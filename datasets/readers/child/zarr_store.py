@@ -12,8 +12,8 @@ import numpy as np
 import zarr
 from numpy.typing import NDArray
 
-from datasets.readers.child.parts import Slabs
-from datasets.readers.lengths import in_one_unit
+from econgs_bench.datasets.readers.child.parts import Slabs
+from econgs_bench.datasets.readers.lengths import in_one_unit
 
 _MOST = 10_000
 _AXES = {"time": "t", "channel": "c"}

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 
 import torch
 
-from econgs.anchors.gaussians import Gaussians, draw
-from econgs.optim import Adam
-from econgs.splat.composite import scale_depth
-from methods.interface import Refused
-from methods.shared.edits import opacity_factor
-from methods.shared.method import TrainerMethod
-from methods.shared.model import SceneModel
-from methods.shared.quantised_scene import QuantisedScene, half_exact, read_folder
-from methods.shared.training import TrainingLoop
+from econgs_bench.econgs.anchors.gaussians import Gaussians, draw
+from econgs_bench.econgs.optim import Adam
+from econgs_bench.econgs.splat.composite import scale_depth
+from econgs_bench.methods.interface import Refused
+from econgs_bench.methods.shared.edits import opacity_factor
+from econgs_bench.methods.shared.method import TrainerMethod
+from econgs_bench.methods.shared.model import SceneModel
+from econgs_bench.methods.shared.quantised_scene import QuantisedScene, half_exact, read_folder
+from econgs_bench.methods.shared.training import TrainingLoop
 
 FORMAT = "toy-blobs 1"  # name and version of the file format
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from methods.interface import MethodSpec, option
+from econgs_bench.methods.interface import MethodSpec, option
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.gate.audit import audit
-from bench.gate.baseline import read
-from datasets.errors import DataError
-from datasets.png import read_png, write_png
-from datasets.seals import sealed, unsealed
+from econgs_bench.bench.gate.audit import audit
+from econgs_bench.bench.gate.baseline import read
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.png import read_png, write_png
+from econgs_bench.datasets.seals import sealed, unsealed
 from tests.bench.conftest import PATIENCE, Bench
 
 SEEDS = ("--seed", 0, "--seed", 1, "--seed", 2)
@@ -211,7 +211,7 @@ def test_pytest_has_a_test_per_result(gate: Bench, tmp_path: Path) -> None:
 
     def run(*more: str) -> subprocess.CompletedProcess[str]:
         installed = "bench-gate" in {entry.name for entry in entry_points(group="pytest11")}
-        plugin = [] if installed else ["-p", "bench.gate.pytest_plugin"]
+        plugin = [] if installed else ["-p", "econgs_bench.bench.gate.pytest_plugin"]
         command = [sys.executable, "-m", "pytest", *plugin, "-p", "no:cacheprovider"]
         command += ["--rootdir", str(tmp_path), "test_own.py", "--bench-gate", "base.json", *more]
         return subprocess.run(

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bench.gate.baseline import FORMAT, Baseline, Change, cell_of
-from bench.gate.cells import Cell, Key
-from bench.gate.identity import Identity, differences
-from bench.gate.power import power
-from bench.gate.quantities import QUANTITIES
-from bench.gate.spread import prior, quantile, tail, variance_of
-from bench.gate.text import summary
-from bench.gate.verdict import LEVEL, Verdict, compare
-from datasets.errors import DataError
+from econgs_bench.bench.gate.baseline import FORMAT, Baseline, Change, cell_of
+from econgs_bench.bench.gate.cells import Cell, Key
+from econgs_bench.bench.gate.identity import Identity, differences
+from econgs_bench.bench.gate.power import power
+from econgs_bench.bench.gate.quantities import QUANTITIES
+from econgs_bench.bench.gate.spread import prior, quantile, tail, variance_of
+from econgs_bench.bench.gate.text import summary
+from econgs_bench.bench.gate.verdict import LEVEL, Verdict, compare
+from econgs_bench.datasets.errors import DataError
 
 PROCESSOR = "a processor; 2 threads"
 VIEWS = [f"v{i}" for i in range(8)]

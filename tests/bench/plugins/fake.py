@@ -17,7 +17,15 @@ from typing import Literal
 
 import numpy as np
 
-from methods.interface import Checkpoint, Diverged, MethodSpec, RateKnob, Refused, edits_by_scene, option
+from econgs_bench.methods.interface import (
+    Checkpoint,
+    Diverged,
+    MethodSpec,
+    RateKnob,
+    Refused,
+    edits_by_scene,
+    option,
+)
 
 Behaviour = Literal[
     "good", "refuse", "diverge", "nan", "raise", "abort", "exit", "hog", "sleep", "ledger", "no-checkpoint",

@@ -5,7 +5,7 @@ from typing import Literal
 
 from fake import Color, Options, Single, _spec
 
-from methods.interface import Configuration, Diverged, option
+from econgs_bench.methods.interface import Configuration, Diverged, option
 
 RIGHT = 0.3
 """The best shift."""

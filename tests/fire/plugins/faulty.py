@@ -20,7 +20,7 @@ from pathlib import Path
 import fake
 import numpy as np
 
-from methods.interface import Diverged, Refused, option
+from econgs_bench.methods.interface import Diverged, Refused, option
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from reports.charts import data, features, kinds, training
-from reports.charts.report import Report
-from reports.charts.sections import chart_sections
-from reports.style import Model
+from econgs_bench.reports.charts import data, features, kinds, training
+from econgs_bench.reports.charts.report import Report
+from econgs_bench.reports.charts.sections import chart_sections
+from econgs_bench.reports.style import Model
 from tests.reports.conftest import fill, settings
 
 ECONGS = Model("econgs")

@@ -8,11 +8,20 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from reports.charts import data, files, kinds, svg
-from reports.charts.chart import Axis, Chart, Panel, Series, Text, broken_axis, linear_axis, log_axis
-from reports.charts.elements import Section, annotated, card
-from reports.charts.labels import overlap, place_labels, text_width
-from reports.style import MARKERS, Look
+from econgs_bench.reports.charts import data, files, kinds, svg
+from econgs_bench.reports.charts.chart import (
+    Axis,
+    Chart,
+    Panel,
+    Series,
+    Text,
+    broken_axis,
+    linear_axis,
+    log_axis,
+)
+from econgs_bench.reports.charts.elements import Section, annotated, card
+from econgs_bench.reports.charts.labels import overlap, place_labels, text_width
+from econgs_bench.reports.style import MARKERS, Look
 from tests.reports.charts.test_charts import texts, tradeoff
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -268,7 +277,7 @@ def test_files_are_the_same_every_time_and_embed_their_font(maker, tmp_path, mon
 
 
 def test_a_chart_that_cannot_be_converted_is_an_error(maker, tmp_path, monkeypatch):
-    monkeypatch.setattr("reports.charts.svg.file", lambda chart: "<svg")
+    monkeypatch.setattr("econgs_bench.reports.charts.svg.file", lambda chart: "<svg")
     with pytest.raises(RuntimeError, match="PDF"), files.output(tmp_path) as write:
         write({"broken": Chart([])})
 

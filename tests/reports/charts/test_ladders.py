@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 
-from reports.charts.chart import Bar
-from reports.charts.labels import text_width
-from reports.charts.ladders import KINDS, anchor, ladder_chart, ladders_section
-from reports.charts.report import Report
-from reports.charts.svg import file, page_panel
-from reports.tables.ladders import climbed, ladders
+from econgs_bench.reports.charts.chart import Bar
+from econgs_bench.reports.charts.labels import text_width
+from econgs_bench.reports.charts.ladders import KINDS, anchor, ladder_chart, ladders_section
+from econgs_bench.reports.charts.report import Report
+from econgs_bench.reports.charts.svg import file, page_panel
+from econgs_bench.reports.tables.ladders import climbed, ladders
 from tests.reports.tables.test_ladders import table
 
 ROWS = [

@@ -4,12 +4,12 @@ import re
 
 import pytest
 
-from reports.charts import data, kinds, svg
-from reports.charts.chart import Axis, Panel, linear_axis
-from reports.charts.levels import with_floor
-from reports.charts.report import Report
-from reports.charts.sections import charts
-from reports.floors import Floor
+from econgs_bench.reports.charts import data, kinds, svg
+from econgs_bench.reports.charts.chart import Axis, Panel, linear_axis
+from econgs_bench.reports.charts.levels import with_floor
+from econgs_bench.reports.charts.report import Report
+from econgs_bench.reports.charts.sections import charts
+from econgs_bench.reports.floors import Floor
 
 AXIS = Axis("PSNR [dB]", 20.0, 40.0)
 PLAIN = Panel("t", linear_axis([0.0, 1.0], "x"), AXIS)

@@ -9,13 +9,22 @@ from scipy.signal import find_peaks
 from scipy.spatial.distance import pdist
 from skimage.color import rgb2lab
 
-from methods.registry import Registry
-from reports import markup, style
-from reports.charts import data, features, kinds, parts, svg, training
-from reports.charts.elements import legend
-from reports.charts.labels import text_width
-from reports.page import results as results_table
-from reports.style import MOST_NAMED, OTHERS, OTHERS_NAME, Model, legend_entries, look, looks, named
+from econgs_bench.methods.registry import Registry
+from econgs_bench.reports import markup, style
+from econgs_bench.reports.charts import data, features, kinds, parts, svg, training
+from econgs_bench.reports.charts.elements import legend
+from econgs_bench.reports.charts.labels import text_width
+from econgs_bench.reports.page import results as results_table
+from econgs_bench.reports.style import (
+    MOST_NAMED,
+    OTHERS,
+    OTHERS_NAME,
+    Model,
+    legend_entries,
+    look,
+    looks,
+    named,
+)
 from tests.reports.charts.test_charts import (
     curve_table,
     features_table,

@@ -2,10 +2,10 @@
 
 import pytest
 
-from reports.charts import stability
-from reports.page.document import write_report
-from reports.tables.means import summary
-from reports.tables.protocols import by_training_views
+from econgs_bench.reports.charts import stability
+from econgs_bench.reports.page.document import write_report
+from econgs_bench.reports.tables.means import summary
+from econgs_bench.reports.tables.protocols import by_training_views
 
 
 @pytest.fixture

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from reports.charts.report import Report
-from reports.charts.unseen import unseen_section
-from reports.conclusions import unseen
-from reports.page.document import write_report
+from econgs_bench.reports.charts.report import Report
+from econgs_bench.reports.charts.unseen import unseen_section
+from econgs_bench.reports.conclusions import unseen
+from econgs_bench.reports.page.document import write_report
 
 
 @pytest.fixture

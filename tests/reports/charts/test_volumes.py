@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from reports.charts import data, kinds, training
-from reports.charts.report import Report
-from reports.charts.volumes import volumes_chart, volumes_section
-from reports.conclusions.volumes import verdicts
-from reports.curves import Curve, Point
-from reports.style import MIB, Model
+from econgs_bench.reports.charts import data, kinds, training
+from econgs_bench.reports.charts.report import Report
+from econgs_bench.reports.charts.volumes import volumes_chart, volumes_section
+from econgs_bench.reports.conclusions.volumes import verdicts
+from econgs_bench.reports.curves import Curve, Point
+from econgs_bench.reports.style import MIB, Model
 
 
 def curve(method, size, psnr, options=""):

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from reports.comparability import compared, judged
-from reports.conclusions import answers as conclusions
-from reports.conclusions.answers import CRITERIA, EDITABLE, ROBUST, compare, scope, standing
-from reports.conclusions.contest import contests
-from reports.conclusions.effects import effect
-from reports.conclusions.family import Family
-from reports.schema import frame
-from reports.tables.ladders import ladders
-from reports.tables.protocols import by_protocol
+from econgs_bench.reports.comparability import compared, judged
+from econgs_bench.reports.conclusions import answers as conclusions
+from econgs_bench.reports.conclusions.answers import CRITERIA, EDITABLE, ROBUST, compare, scope, standing
+from econgs_bench.reports.conclusions.contest import contests
+from econgs_bench.reports.conclusions.effects import effect
+from econgs_bench.reports.conclusions.family import Family
+from econgs_bench.reports.schema import frame
+from econgs_bench.reports.tables.ladders import ladders
+from econgs_bench.reports.tables.protocols import by_protocol
 from tests.reports.tables.test_ladders import table as rungs
 
 SMALLEST, PICTURE, TRAINING, DRAWING, MEMORY = CRITERIA

@@ -4,9 +4,9 @@ import re
 
 import pytest
 
-from reports.charts.report import Report
-from reports.conclusions import races, rates
-from reports.conclusions.answers import scope
+from econgs_bench.reports.charts.report import Report
+from econgs_bench.reports.conclusions import races, rates
+from econgs_bench.reports.conclusions.answers import scope
 from tests.reports.conclusions.test_answers import PICTURE, SMALLEST, contest, measured, row
 from tests.reports.conclusions.test_races import ALONE, TIME, fit, of
 

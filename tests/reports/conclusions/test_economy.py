@@ -2,14 +2,14 @@
 
 import pytest
 
-from reports.charts import kinds
-from reports.charts.chart import GRAY
-from reports.charts.report import Report
-from reports.conclusions import economy
-from reports.curves import Curve, Point
-from reports.page.document import write_report
-from reports.schema import PRUNED
-from reports.style import MISSING, Model, look
+from econgs_bench.reports.charts import kinds
+from econgs_bench.reports.charts.chart import GRAY
+from econgs_bench.reports.charts.report import Report
+from econgs_bench.reports.conclusions import economy
+from econgs_bench.reports.curves import Curve, Point
+from econgs_bench.reports.page.document import write_report
+from econgs_bench.reports.schema import PRUNED
+from econgs_bench.reports.style import MISSING, Model, look
 
 
 def curve(*points):

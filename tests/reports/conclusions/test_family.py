@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from statsmodels.stats.multitest import multipletests
 
-from reports.conclusions.family import LEVEL, Family, largest
+from econgs_bench.reports.conclusions.family import LEVEL, Family, largest
 
 P_VALUES = st.lists(st.floats(0.0, 1.0) | st.sampled_from([0.001, 0.01, 0.02, 0.05]), min_size=1, max_size=40)
 

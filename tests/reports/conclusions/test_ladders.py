@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from reports.conclusions.ladders import by_method, contrasts, flickering, summary, verdict, words
-from reports.tables.ladders import climbed, ladders
+from econgs_bench.reports.conclusions.ladders import by_method, contrasts, flickering, summary, verdict, words
+from econgs_bench.reports.tables.ladders import climbed, ladders
 from tests.reports.tables.test_ladders import table
 
 

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from reports.charts.races import race_chart, races_section
-from reports.conclusions.family import Family
-from reports.conclusions.races import DISCIPLINES, Front, conclusion, races, row
-from reports.style import MISSING, models
+from econgs_bench.reports.charts.races import race_chart, races_section
+from econgs_bench.reports.conclusions.family import Family
+from econgs_bench.reports.conclusions.races import DISCIPLINES, Front, conclusion, races, row
+from econgs_bench.reports.style import MISSING, models
 from tests.reports.conclusions.test_answers import row as result
 from tests.reports.conclusions.test_answers import table
 

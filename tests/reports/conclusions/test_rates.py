@@ -5,12 +5,12 @@ import pandas as pd
 import pytest
 import scipy.stats
 
-from reports.conclusions import rates
-from reports.conclusions.family import Family
-from reports.conclusions.rates import Difference, difference, differences, p_values
-from reports.curves import Curve, Point
-from reports.statistics import Views
-from reports.style import Model
+from econgs_bench.reports.conclusions import rates
+from econgs_bench.reports.conclusions.family import Family
+from econgs_bench.reports.conclusions.rates import Difference, difference, differences, p_values
+from econgs_bench.reports.curves import Curve, Point
+from econgs_bench.reports.statistics import Views
+from econgs_bench.reports.style import Model
 
 ANCHOR = ([1358.24, 2486.44, 4593.60, 9487.76], [34.851, 36.845, 38.615, 40.037])
 TEST = ([1356.24, 2451.52, 4469.00, 9787.80], [34.987, 36.970, 38.651, 40.121])

@@ -4,10 +4,10 @@ import re
 
 import pytest
 
-from reports.charts.report import Report
-from reports.comparability import judged
-from reports.conclusions.answers import to_text
-from reports.page.document import write_report
+from econgs_bench.reports.charts.report import Report
+from econgs_bench.reports.comparability import judged
+from econgs_bench.reports.conclusions.answers import to_text
+from econgs_bench.reports.page.document import write_report
 
 
 def test_the_answers_come_first_with_their_evidence_and_all_else_is_folded(maker):

@@ -2,10 +2,10 @@
 
 import pytest
 
-from reports.page import editing
-from reports.page.document import write_report
-from reports.style import MISSING
-from reports.tables.means import summary
+from econgs_bench.reports.page import editing
+from econgs_bench.reports.page.document import write_report
+from econgs_bench.reports.style import MISSING
+from econgs_bench.reports.tables.means import summary
 
 
 @pytest.fixture

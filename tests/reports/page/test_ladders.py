@@ -6,10 +6,10 @@ import re
 
 import pytest
 
-from reports.charts.report import Report
-from reports.page import ladders
-from reports.page.document import write_report
-from reports.schema import frame
+from econgs_bench.reports.charts.report import Report
+from econgs_bench.reports.page import ladders
+from econgs_bench.reports.page.document import write_report
+from econgs_bench.reports.schema import frame
 from tests.reports.page.test_page import Outline, content
 from tests.reports.tables.test_ladders import table
 

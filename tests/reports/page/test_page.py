@@ -10,11 +10,11 @@ from unittest.mock import Mock, patch
 import pytest
 from PIL import Image
 
-from reports.charts import data, files, kinds, training
-from reports.page.document import write_report
-from reports.pictures import panel_files
-from reports.pictures.panels import ABSENT
-from reports.style import MISSING, look
+from econgs_bench.reports.charts import data, files, kinds, training
+from econgs_bench.reports.page.document import write_report
+from econgs_bench.reports.pictures import panel_files
+from econgs_bench.reports.pictures.panels import ABSENT
+from econgs_bench.reports.style import MISSING, look
 from tests.reports.charts.test_charts import texts, tradeoff
 from tests.reports.conftest import NO_LPIPS, fill
 

@@ -11,9 +11,9 @@ from unittest.mock import Mock, patch
 
 import pytest
 
-from reports.page import document as page_module
-from reports.pictures import panel_files
-from reports.style import MISSING
+from econgs_bench.reports.page import document as page_module
+from econgs_bench.reports.pictures import panel_files
+from econgs_bench.reports.style import MISSING
 from tests.reports.conftest import METHODS, Maker, fill
 from tests.reports.page.browser import Browser, executable
 
@@ -340,8 +340,8 @@ def busy(browser: Browser) -> float:
 
 @pytest.mark.slow
 def test_the_page_of_all_bundles_is_small_and_has_its_answer_first(driver: Browser, tmp_path: Path) -> None:
-    from bench.__main__ import main
-    from reports.schema import read_tables
+    from econgs_bench.bench.__main__ import main
+    from econgs_bench.reports.schema import read_tables
 
     every = sorted((Path(__file__).parents[3] / "reports" / "measured").glob("*.zip"))
     text = (every[0].parent / "README.md").read_text(encoding="utf-8")

@@ -3,8 +3,8 @@
 import numpy as np
 from PIL import Image
 
-from reports.page import training_views
-from reports.page.document import write_report
+from econgs_bench.reports.page import training_views
+from econgs_bench.reports.page.document import write_report
 
 
 def trained(maker, numbers=(92, 6, 12)):

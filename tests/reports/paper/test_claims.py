@@ -7,13 +7,22 @@ from html import escape
 import numpy as np
 import pytest
 
-from reports.paper.claims import EXCEEDS, FAILS, HOLDS, NOT_DECIDED, SKIPPED, UNKNOWN, check, claims
-from reports.paper.evidence import LAYOUTS, evidence, of_report
-from reports.paper.layouts import layouts, reference_rows
-from reports.paper.values import QUANTITIES, Block, PaperTable, Row, Value
-from reports.paper.verdicts import to_html, to_text
-from reports.schema import frame
-from reports.statistics import Views
+from econgs_bench.reports.paper.claims import (
+    EXCEEDS,
+    FAILS,
+    HOLDS,
+    NOT_DECIDED,
+    SKIPPED,
+    UNKNOWN,
+    check,
+    claims,
+)
+from econgs_bench.reports.paper.evidence import LAYOUTS, evidence, of_report
+from econgs_bench.reports.paper.layouts import layouts, reference_rows
+from econgs_bench.reports.paper.values import QUANTITIES, Block, PaperTable, Row, Value
+from econgs_bench.reports.paper.verdicts import to_html, to_text
+from econgs_bench.reports.schema import frame
+from econgs_bench.reports.statistics import Views
 from tests.reports.paper.test_paper_tables import SCENES, four, paper_tables, results, row, seen, waves
 
 PUBLISHED = """

@@ -6,9 +6,9 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from reports.paper import datasets
-from reports.paper.datasets import costs, published
-from reports.tables.documents import to_latex, to_markdown
+from econgs_bench.reports.paper import datasets
+from econgs_bench.reports.paper.datasets import costs, published
+from econgs_bench.reports.tables.documents import to_latex, to_markdown
 from tests.reports.page.test_page import page
 
 DIMS = "600 \N{MULTIPLICATION SIGN} 360 \N{MULTIPLICATION SIGN} 240"

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from reports.paper.claims import AMONG, FAILS, HOLDS, NOT_DECIDED, UNKNOWN, check, claims
-from reports.paper.intervals import ratio, same
-from reports.paper.layouts import layouts
-from reports.paper.values import Row, Value
-from reports.paper.verdicts import to_html, to_text
-from reports.statistics import Views
+from econgs_bench.reports.paper.claims import AMONG, FAILS, HOLDS, NOT_DECIDED, UNKNOWN, check, claims
+from econgs_bench.reports.paper.intervals import ratio, same
+from econgs_bench.reports.paper.layouts import layouts
+from econgs_bench.reports.paper.values import Row, Value
+from econgs_bench.reports.paper.verdicts import to_html, to_text
+from econgs_bench.reports.statistics import Views
 from tests.reports.paper.test_paper_tables import (
     SCENES,
     blocks,

@@ -9,13 +9,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from reports.comparability import replaced
-from reports.paper import tables
-from reports.paper.documents import to_html, to_latex, to_markdown, to_text
-from reports.paper.layouts import layouts, reference_rows
-from reports.paper.marks import SEEDS_NOTE
-from reports.schema import frame
-from reports.statistics import Views
+from econgs_bench.reports.comparability import replaced
+from econgs_bench.reports.paper import tables
+from econgs_bench.reports.paper.documents import to_html, to_latex, to_markdown, to_text
+from econgs_bench.reports.paper.layouts import layouts, reference_rows
+from econgs_bench.reports.paper.marks import SEEDS_NOTE
+from econgs_bench.reports.schema import frame
+from econgs_bench.reports.statistics import Views
 
 SCENES = ("TF01", "TF02", "TF03", "TF04")
 

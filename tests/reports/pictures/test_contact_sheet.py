@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from reports.pictures.contact_sheet import Tile, contact_sheet
+from econgs_bench.reports.pictures.contact_sheet import Tile, contact_sheet
 
 RED, BLUE = (0.9, 0.1, 0.1), (0.1, 0.2, 0.8)
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from reports.conclusions.ladders import by_method
-from reports.pictures.ladder_files import breaks_of, draw_breaks, draw_flicker
-from reports.pictures.strips import Flicker
-from reports.schema import records
-from reports.tables.ladders import climbed, ladders
+from econgs_bench.reports.conclusions.ladders import by_method
+from econgs_bench.reports.pictures.ladder_files import breaks_of, draw_breaks, draw_flicker
+from econgs_bench.reports.pictures.strips import Flicker
+from econgs_bench.reports.schema import records
+from econgs_bench.reports.tables.ladders import climbed, ladders
 from tests.reports.pictures.test_strips import views
 from tests.reports.tables.test_ladders import table
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from reports.page import scenes
-from reports.pictures import panel_files
-from reports.pictures.cieluv import cieluv, linear
-from reports.pictures.difference import colored, largest_window, scale
-from reports.pictures.files import read
-from reports.pictures.panels import choose, models, panels
+from econgs_bench.reports.page import scenes
+from econgs_bench.reports.pictures import panel_files
+from econgs_bench.reports.pictures.cieluv import cieluv, linear
+from econgs_bench.reports.pictures.difference import colored, largest_window, scale
+from econgs_bench.reports.pictures.files import read
+from econgs_bench.reports.pictures.panels import choose, models, panels
 from tests.reports.conftest import frame
 
 # Machado, Oliveira and Fernandes (2009), severity 1, on linear RGB.

@@ -6,9 +6,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from reports.pictures.strips import FACTOR, choose, flicker, strip, until_break, views_of_jobs, worst_subject
-from reports.schema import frame, records
-from reports.tables.ladders import ladders
+from econgs_bench.reports.pictures.strips import (
+    FACTOR,
+    choose,
+    flicker,
+    strip,
+    until_break,
+    views_of_jobs,
+    worst_subject,
+)
+from econgs_bench.reports.schema import frame, records
+from econgs_bench.reports.tables.ladders import ladders
 from tests.reports.tables.test_ladders import table
 
 

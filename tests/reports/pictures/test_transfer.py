@@ -7,10 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from bench.inputs import transfer_summary
-from datasets.catalogue import open_dataset
-from reports.page.document import write_report
-from reports.pictures.transfer import transfer_picture
+from econgs_bench.bench.inputs import transfer_summary
+from econgs_bench.datasets.catalogue import open_dataset
+from econgs_bench.reports.page.document import write_report
+from econgs_bench.reports.pictures.transfer import transfer_picture
 from tests.reports.conftest import frame
 
 RED, BLUE = [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]

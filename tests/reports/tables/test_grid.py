@@ -2,10 +2,10 @@
 
 import pytest
 
-from bench.commands.results import print_results, print_stored
-from reports.schema import TABLES
-from reports.tables.grid import Field, needed, to_lines
-from reports.terminal import print_prose
+from econgs_bench.bench.commands.results import print_results, print_stored
+from econgs_bench.reports.schema import TABLES
+from econgs_bench.reports.tables.grid import Field, needed, to_lines
+from econgs_bench.reports.terminal import print_prose
 
 LABEL = "all light=1,0,0 ambient=1.5 diffuse=1.5 specular=1.5 palette=#2060e0 | light=1,0,0 opacity=0.3"
 JOBS = ["measure-0123456789abcdef", "measure-fedcba9876543210"]

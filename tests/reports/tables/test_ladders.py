@@ -5,8 +5,8 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-from reports.schema import frame
-from reports.tables.ladders import COLUMNS_OF_LADDERS, FAILURES, climbed, held, ladders, severity
+from econgs_bench.reports.schema import frame
+from econgs_bench.reports.tables.ladders import COLUMNS_OF_LADDERS, FAILURES, climbed, held, ladders, severity
 
 USUAL = {
     "ladder": "noise", "rungs": 4, "subject": "vortices/cores", "dataset": "vortices", "scene": "cores",

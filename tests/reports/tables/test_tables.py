@@ -3,15 +3,15 @@ import re
 import pandas as pd
 import pytest
 
-from reports.comparability import judged, notes
-from reports.page.document import write_report
-from reports.style import mib, seconds
-from reports.tables.columns import quality
-from reports.tables.documents import to_latex, to_markdown
-from reports.tables.grid import needed
-from reports.tables.means import summary
-from reports.tables.ranks import ranks
-from reports.tables.results import display, for_terminal
+from econgs_bench.reports.comparability import judged, notes
+from econgs_bench.reports.page.document import write_report
+from econgs_bench.reports.style import mib, seconds
+from econgs_bench.reports.tables.columns import quality
+from econgs_bench.reports.tables.documents import to_latex, to_markdown
+from econgs_bench.reports.tables.grid import needed
+from econgs_bench.reports.tables.means import summary
+from econgs_bench.reports.tables.ranks import ranks
+from econgs_bench.reports.tables.results import display, for_terminal
 from tests.reports.conftest import NO_LPIPS, fill
 
 
