@@ -188,7 +188,11 @@ class Decoders(nn.Module):
             features: (N, F).
             embedding: (E,).
         """
-        return (self._outputs("opacity", features, embedding) > 0.0).to(features.dtype)
+        return (self.raw_opacities(features, embedding) > 0.0).to(features.dtype)
+
+    def raw_opacities(self, features: Tensor, embedding: Tensor) -> Tensor:
+        """(N, K) opacities before tanh; arguments as those of :meth:`shown`."""
+        return self._outputs("opacity", features, embedding)
 
     def _outputs(self, name: str, features: Tensor, embedding: Tensor) -> Tensor:
         """Outputs of a network whose inputs are the features alone, beside the embedding."""
