@@ -244,7 +244,7 @@ class Trainer(AnchorLoop):
     def _revive(self, scene: _Scene, features: Tensor) -> None:
         """Show all Gaussians again where all have vanished from a view, though its alpha has not.
 
-        A part of the loss of alpha's rescue (:data:`econgs.losses.RESCUE`): what is culled gets no gradient.
+        A part of the loss of alpha's rescue (:data:`.econgs.losses.RESCUE`): what is culled gets no gradient.
         """
         embedding = self.optimiser[f"{scene.key}/embedding"]
         network = self.decoders.network("opacity")
