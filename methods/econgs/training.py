@@ -62,8 +62,6 @@ EMBEDDING_RATE = (2e-3, 2e-5)
 _EMBEDDING_SPREAD = 0.01
 COLOR_SAMPLE = 256
 """Anchors whose offset colors a step regularises."""
-_REVIVED = 0.1
-"""Mean opacity of Gaussians that are shown again."""
 BEYOND = 10.0
 """Weight of diffuse colors outside [0, 1] against that of offset colors."""
 
@@ -181,9 +179,6 @@ class Trainer(AnchorLoop):
             masks = self._masks(scene, values) if culls(self.options) else None
             values, rate = self.coding.apply(anchors, values, rows, self.count, self.iteration, masks)
         decoded = self._decode(scene, camera, positions, values)
-        if not len(decoded.means) and len(positions) and self._wants_alpha(scene, truth):
-            self._revive(scene, values.features)
-            decoded = self._decode(scene, camera, positions, values)
         splats, offset = self.splat(decoded, camera)
         back = scene.source.train.background
         parts = self.view_losses(splats.features, splats.alpha, truth, back, scene.transparent)
@@ -209,6 +204,14 @@ class Trainer(AnchorLoop):
         if self._closes_batch():
             self.optimiser.step()
             self.fresh = True
+        if not len(decoded.means) and len(scene.anchors) and not self.options.view_direction:
+            opacities = partial(self._opacities, scene)
+            self.revive(
+                truth,
+                scene.transparent,
+                lambda: bool((opacities() <= 0.0).all()),
+                lambda: opacities().mean(0),
+            )
         if self.schedule.grows(self.iteration):
             self.grow()
         if self.control.active and self.schedule.corrects_rate(self.iteration, STEPS):
@@ -236,20 +239,11 @@ class Trainer(AnchorLoop):
             light=scene.light,
         )
 
-    def _wants_alpha(self, scene: _Scene, truth: Tensor) -> bool:
-        asks = self.options.alpha_weight and scene.transparent and not self.options.view_direction
-        return bool(asks and (truth[..., 3] > 0).any())
-
     @torch.no_grad()
-    def _revive(self, scene: _Scene, features: Tensor) -> None:
-        """Show all Gaussians again where all have vanished from a view, though its alpha has not.
-
-        A part of the loss of alpha's rescue (:data:`.econgs.losses.RESCUE`): what is culled gets no gradient.
-        """
-        embedding = self.optimiser[f"{scene.key}/embedding"]
-        network = self.decoders.network("opacity")
-        network.start_at(_REVIVED, self.decoders.raw_opacities(features, embedding).mean(0))
-        self.optimiser.restart("opacity")
+    def _opacities(self, scene: _Scene) -> Tensor:
+        """(N, K) outputs of the opacity network, the same in every view."""
+        names = scene.anchors.name("features"), f"{scene.key}/embedding"
+        return self.decoders.raw_opacities(*(self.optimiser[name] for name in names))
 
     def _masks(self, scene: _Scene, values: Attributes) -> Callable[[Tensor], Tensor]:
         """The Gaussians of some of these anchors that are not culled: only they need offsets."""

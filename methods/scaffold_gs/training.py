@@ -125,25 +125,21 @@ class Trainer(AnchorLoop):
         self.transparent = are_transparent(self.images)
         groups = self.groups()
         self.optimiser = Adam(groups, dict.fromkeys(groups, 0.0))
+        network = self.decoders.network("opacity")
         if options.start_opacity:
-            self.decoders.network("opacity").start_at(options.start_opacity, self._first_opacities())
+            network.start_at(options.start_opacity, self._first_opacities())
         elif options.show_half:
-            self._show_half()
+            network.show_half(self._first_opacities())
         else:
             self._show_some()
 
     @torch.no_grad()
-    def _show_half(self) -> None:
-        """Raise opacities until half of the offsets have a mean above 0 over anchors and training views.
+    def _first_opacities(self) -> Tensor:
+        """(K,) outputs of the opacity network, means over anchors and training views.
 
         Features start at zero, so that the networks hide the same offsets in all anchors, and what is hidden
         gets no gradient.
         """
-        self.decoders.network("opacity").show_half(self._first_opacities())
-
-    @torch.no_grad()
-    def _first_opacities(self) -> Tensor:
-        """(K,) outputs of the opacity network, means over anchors and training views."""
         values, positions = self.attributes(self.anchors), self.anchors.positions
         opacities = [
             decode_colors(positions, *values, self.decoders, camera.position).raw_opacities
@@ -171,18 +167,6 @@ class Trainer(AnchorLoop):
             len(decode_colors(positions, *values, self.decoders, camera.position).slots)
             for camera in self.scene.train.cameras
         )
-
-    @torch.no_grad()
-    def _revive(self, truth: Tensor) -> None:
-        """Show half of the offsets again where all have vanished, though the view's alpha has not.
-
-        A part of the loss of alpha's rescue (:data:`.econgs.losses.RESCUE`): while features are nearly zero,
-        all anchors hide together, and what is hidden gets no gradient.
-        """
-        wanted = self.options.alpha_weight and self.transparent and bool((truth[..., 3] > 0).any())
-        if wanted and len(self.anchors) and self._shows_nothing():
-            self._show_half()
-            self.optimiser.restart("opacity")
 
     # ------------------------------------------------------------------ what HAC changes
 
@@ -279,8 +263,8 @@ class Trainer(AnchorLoop):
                 )
             self.optimiser.rates.update(self.rates())
             self.optimiser.step()
-        if not len(decoded.slots):
-            self._revive(truth)
+        if not len(decoded.slots) and len(self.anchors):
+            self.revive(truth, self.transparent, self._shows_nothing, self._first_opacities)
         if self.schedule.grows(self.iteration):
             self.grow()
         if self.iteration % CHECK_EVERY == 0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -11,6 +12,8 @@ from econgs_bench.datasets.camera import Camera
 from econgs_bench.datasets.cloud import PointCloud, random_cloud
 from econgs_bench.econgs.anchors.anchor_set import PARAMETERS, AnchorSet
 from econgs_bench.econgs.anchors.coding import Coding
+from econgs_bench.econgs.anchors.decoders import Decoders
+from econgs_bench.econgs.anchors.direct import ColorDecoders
 from econgs_bench.econgs.anchors.gaussians import ViewGaussians, draw
 from econgs_bench.econgs.anchors.growing import AnchorRules
 from econgs_bench.econgs.context.model import Attributes
@@ -28,11 +31,13 @@ class AnchorLoop(TrainingLoop):
 
     Attributes:
         sets: the anchors of each scene.
+        decoders: the networks of all scenes.
         rules: thresholds of growth.
         coding: quantisation noise and context model; None where nothing is coded.
     """
 
     sets: list[AnchorSet]
+    decoders: Decoders | ColorDecoders
     schedule: AnchorSchedule
     rules: AnchorRules
     coding: Coding | None = None
@@ -62,6 +67,30 @@ class AnchorLoop(TrainingLoop):
         collects = self.schedule.collects(self.iteration)
         offset = torch.zeros_like(decoded.means[:, :2], requires_grad=True) if collects else None
         return draw([decoded], camera, offset, self.fit_low_pass), offset
+
+    @torch.no_grad()
+    def revive(
+        self,
+        truth: Tensor,
+        transparent: bool,
+        shows_nothing: Callable[[], bool],
+        opacities: Callable[[], Tensor],
+    ) -> None:
+        """Show half of a scene's Gaussians again where all have vanished, though the view's alpha has not.
+
+        A part of the loss of alpha's rescue (:data:`.econgs.losses.RESCUE`): while features are nearly zero,
+        all anchors hide together, and what is hidden gets no gradient.
+
+        Args:
+            truth: (H, W, 4) of the view.
+            transparent: whether any view of the scene is.
+            shows_nothing: whether every Gaussian of the scene is hidden in all training views.
+            opacities: (K,) mean outputs of the opacity network.
+        """
+        wanted = self.options.alpha_weight and transparent and bool((truth[..., 3] > 0).any())
+        if wanted and shows_nothing():
+            self.decoders.network("opacity").show_half(opacities())
+            self.optimiser.restart("opacity")
 
     def begin_coding(self) -> None:
         """Start the context model in its first iteration."""
