@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
 GROUP = "econgs_bench.methods"
 BUILT_IN = "built in: econgs_bench.methods."
+"""How the origins of the methods that come with the harness begin."""
 _SPEC = re.compile(rb"^(?:\xef\xbb\xbf)?SPEC\b\s*[:=]", re.MULTILINE)
 """In bytes: a source has the encoding that it declares (PEP 263), and what is no source may have any."""
-"""How the origins of the methods that come with the harness begin."""
 
 
 @dataclass(frozen=True)
@@ -220,7 +220,9 @@ def check_spec(spec: Any, origin: str) -> None:
     """
     wrong = partial(DataError, origin)
     if not isinstance(spec, MethodSpec):
-        raise wrong(f"SPEC is a {type(spec).__name__}", "Make it a MethodSpec")
+        raise wrong(
+            f"SPEC is a {type(spec).__name__}", "Make it an econgs_bench.methods.interface.MethodSpec"
+        )
     for field, (what, fits) in _FIELDS.items():
         if not fits(value := getattr(spec, field)):
             raise wrong(f"{field} is {printable(repr(value))}", f"Make it {what}")
@@ -235,7 +237,9 @@ def check_spec(spec: Any, origin: str) -> None:
     try:
         options = declared(spec.options)
     except TypeError as error:
-        raise wrong(f"options: {error}", "Declare each field with option()") from error
+        raise wrong(
+            f"options: {error}", "Declare each field with econgs_bench.methods.interface.option"
+        ) from error
     if ITERATIONS in options:
         raise wrong(f"an option called {ITERATIONS!r}", "Leave it out: the budget is settable as it is")
     if CONFIGURATION in options:
@@ -275,8 +279,8 @@ def _built_in() -> Iterator[_Candidate]:
     for module in pkgutil.iter_modules(methods.__path__):
         folder = Path(methods.__path__[0], module.name)
         if module.ispkg and (folder / "spec.py").is_file():
-            name = f"{methods.__name__}.{module.name}"
-            yield _Candidate(None, f"built in: {name}", _spec_of(f"{name}.spec"))
+            spec = _spec_of(f"{methods.__name__}.{module.name}.spec")
+            yield _Candidate(None, f"{BUILT_IN}{module.name}", spec)
 
 
 def _installed() -> Iterator[_Candidate]:

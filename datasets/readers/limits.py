@@ -221,8 +221,7 @@ def _is_compact(sample: NDArray[np.generic], low: float, high: float) -> bool:
     if sample.size < 8:
         return False
     for end in (low, high):
-        often = abs(end) >= _LEAST_FILL and np.count_nonzero(sample == end) > _RARE * sample.size
-        if often or _is_customary(end):
+        if _may_be_fill(end, np.count_nonzero(sample == end), sample.size):
             return False
     i, j = sample.size // 4, (3 * sample.size) // 4
     middle = np.partition(sample.ravel(), (i, j))
@@ -235,11 +234,15 @@ def _fills(levels: NDArray[np.float64], counts: NDArray[np.int64]) -> set[float]
     found: set[float] = set()
     for order in (range(len(levels)), range(len(levels) - 1, -1, -1)):
         for i in order[:3]:
-            often = counts[i] > _RARE * counts.sum() and abs(levels[i]) >= _LEAST_FILL
-            if not often and not _is_customary(levels[i]):
+            if not _may_be_fill(levels[i], counts[i], counts.sum()):
                 break
             found.add(float(levels[i]))
     return found
+
+
+def _may_be_fill(value: float, count: int, total: int) -> bool:
+    often = count > _RARE * total and abs(value) >= _LEAST_FILL
+    return often or _is_customary(value)
 
 
 def _is_customary(value: float) -> bool:

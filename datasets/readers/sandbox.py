@@ -219,16 +219,9 @@ class Foreign:
 
 
 def _start(options: list[str], stderr: Any) -> subprocess.Popen[bytes]:
+    child = [sys.executable, "-P", "-W", "ignore", "-m", "econgs_bench.datasets.readers.child"]
     return subprocess.Popen(
-        [
-            sys.executable,
-            "-P",
-            "-W",
-            "ignore",
-            "-m",
-            "econgs_bench.datasets.readers.child",
-            *options,
-        ],
+        [*child, *options],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=stderr,

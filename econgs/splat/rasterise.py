@@ -166,17 +166,14 @@ def native() -> ModuleType:
 
 
 def _module(backend: str) -> ModuleType:
-    return importlib.import_module(
-        f"econgs_bench.econgs.splat.{backend if backend == 'native' else f'{backend}_backend'}"
-    )
+    name = backend if backend == "native" else f"{backend}_backend"
+    return importlib.import_module(f"econgs_bench.econgs.splat.{name}")
 
 
 @cache
 def _present(backend: str) -> bool:
-    return (
-        importlib.util.find_spec("econgs_bench.econgs._native" if backend == "native" else backend)
-        is not None
-    )
+    module = "econgs_bench.econgs._native" if backend == "native" else backend
+    return importlib.util.find_spec(module) is not None
 
 
 @cache
