@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import os
 import shutil
 import subprocess
@@ -25,8 +24,6 @@ from econgs_bench.bench.tables import build_tables
 from econgs_bench.datasets.camera import Camera
 from econgs_bench.reports.schema import COLUMNS
 
-PACKAGES = Path(inspect.getfile(Planner)).resolve().parents[1]
-"""Folder of the package that these tests import: the installed one, with its native core, or a checkout."""
 PLUGINS = Path(__file__).parent / "plugins"
 SIZE = 8
 PATIENCE = 300.0
@@ -172,7 +169,6 @@ class Bench:
         self.patience = PATIENCE
         self.environment = {
             **os.environ,
-            "PYTHONPATH": os.pathsep.join(filter(None, [str(PACKAGES), os.environ.get("PYTHONPATH")])),
             "PYTHONSAFEPATH": "1",
             "BENCH_LOCKS": str(folder / "locks"),
             "BENCH_CACHE": str(folder / "cache"),

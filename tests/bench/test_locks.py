@@ -14,8 +14,6 @@ from filelock import FileLock, Timeout
 from econgs_bench.bench.locks import check_locks, holder, lock_file, locked
 from econgs_bench.datasets.errors import DataError
 
-from .conftest import PACKAGES
-
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="users and permissions of POSIX")
 OTHER = 65534
 """Number of another user, as whom only root can start a process; else the same user stands for it."""
@@ -35,7 +33,7 @@ def folder(tmp_path, monkeypatch):
 
 def as_other(code: str, folder) -> subprocess.Popen[str]:
     """A process of another user."""
-    environment = {**os.environ, "BENCH_LOCKS": str(folder), "PYTHONPATH": str(PACKAGES)}
+    environment = {**os.environ, "BENCH_LOCKS": str(folder)}
     become = (  # after all imports: the interpreter may lie where others may not look
         "import os, econgs_bench.bench.cores, econgs_bench.bench.locks\n"
         f"if os.getuid() == 0: os.setgroups([]); os.setgid({OTHER}); os.setuid({OTHER})\n"

@@ -41,18 +41,10 @@ prerendered_limit = 128
 def seconds(folder: Path, suite: Path, *more: str) -> tuple[float, int]:
     """Time of a sweep without its views, and its number of jobs."""
     out = Path(tempfile.mkdtemp(dir=folder))
-    command = [
-        sys.executable,
-        "-m",
-        "econgs_bench.bench",
-        "run",
-        str(suite),
-        "--out",
-        str(out),
-        "--no-report",
-    ]
+    bench = [sys.executable, "-m", "econgs_bench.bench"]
+    command = [*bench, "run", str(suite), "--out", str(out), "--no-report"]
     plugins = ("--plugins", str(ROOT / "tests" / "bench" / "plugins"))
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "BENCH_CACHE": str(folder / "cache")}
+    environment = os.environ | {"BENCH_CACHE": str(folder / "cache")}
     done = subprocess.run(
         [*command, *plugins, *more], env=environment, check=False, capture_output=True, encoding="utf-8"
     )

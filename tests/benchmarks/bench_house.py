@@ -1,11 +1,11 @@
 """The harness itself: wall and processor time of ``bench run quick`` by part, of ``bench list``, of a report;
 first paint of the page.
 
-python tests/benchmarks/bench_house.py [--package FOLDER] [--store STORE]
+python tests/benchmarks/bench_house.py [--python PYTHON] [--store STORE]
 
---package is the checkout to measure (default: this one), --store what ``bench report`` reads (default: the
-store of the run). The run starts without cached views. Where others use the machine, processor time (user +
-system of all processes) says more than wall time.
+--python is the interpreter of the installation to measure (default: this one), --store what ``bench report``
+reads (default: the store of the run). The run starts without cached views. Where others use the machine,
+processor time (user + system of all processes) says more than wall time.
 """
 
 from __future__ import annotations
@@ -135,18 +135,17 @@ def print_page(page: Path, folder: Path) -> None:
 def main() -> None:
     """Print all of it."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--package", type=Path, default=ROOT)
+    parser.add_argument("--python", default=sys.executable)
     parser.add_argument("--store", type=Path)
     options = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="bench-house-"))
     environment = {
         **os.environ,
-        "PYTHONPATH": str(options.package.resolve()),
         "PYTHONSAFEPATH": "1",
         "BENCH_CACHE": str(folder / "cache"),
         "BENCH_LOCKS": str(folder / "locks"),
     }
-    bench = [sys.executable, "-m", "econgs_bench.bench"]
+    bench = [options.python, "-m", "econgs_bench.bench"]
     try:
         for what in ("methods", "datasets", "suites", "metrics"):
             times = [run([*bench, "list", what], environment, folder)[:2] for _ in range(5)]

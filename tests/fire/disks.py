@@ -197,7 +197,7 @@ def give_shim(bench: Bench, name: str, place: Path) -> None:
     shim = bench.store.parent / "shim"
     shim.mkdir()
     (shim / "sitecustomize.py").write_text(f"STORE = {str(place)!r}\n{SHIMS[name]}")
-    bench.environment["PYTHONPATH"] = os.pathsep.join([str(shim), bench.environment["PYTHONPATH"]])
+    bench.environment["PYTHONPATH"] = os.pathsep.join(filter(None, (str(shim), os.environ.get("PYTHONPATH"))))
 
 
 def shimmed(

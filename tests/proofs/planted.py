@@ -37,7 +37,7 @@ PLANTS = Path(__file__).with_name("plants.toml")
 CONTROL = "control"
 FINGERPRINT = "tests/methods/test_fingerprints.py::test_results_are_as_recorded_for_their_version[{}]"
 _PACKAGES = ("bench", "datasets", "econgs", "methods", "reports")
-_CHECKOUT = ("bench", "datasets", "econgs", "methods", "native", "reports", "tests", "docs",
+_CHECKOUT = (*_PACKAGES, "native", "tests", "docs",
              "CMakeLists.txt", "pyproject.toml", "CHANGELOG.md", "README.md")  # fmt: skip
 
 
