@@ -1,7 +1,8 @@
 """The method: round Gaussians that stay where the initial cloud put them and learn color and opacity.
 
-``Trainer`` fits a scene, ``Model`` renders and stores it, ``Method`` joins the two. ``methods/interface.py``
-specifies what the harness calls; the base classes in ``methods/shared`` do most of it.
+``Trainer`` fits a scene, ``Model`` renders and stores it, ``Method`` joins the two. What the harness
+calls is specified in ``econgs_bench.methods.interface``. Base classes in ``econgs_bench.methods.shared`` do
+most of it.
 """
 
 from dataclasses import dataclass
