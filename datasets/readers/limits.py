@@ -221,7 +221,7 @@ def _is_compact(sample: NDArray[np.generic], low: float, high: float) -> bool:
     if sample.size < 8:
         return False
     for end in (low, high):
-        if _may_be_fill(end, np.count_nonzero(sample == end), sample.size):
+        if _may_be_fill(end, int(np.count_nonzero(sample == end)), sample.size):
             return False
     i, j = sample.size // 4, (3 * sample.size) // 4
     middle = np.partition(sample.ravel(), (i, j))

@@ -113,6 +113,7 @@ class Trainer(AnchorLoop):
 
     options: EcongsOptions
     schedule: Schedule
+    decoders: Decoders
 
     def __init__(
         self, group: Sequence[SceneInput], options: EcongsOptions, iterations: int, seed: int, device: str

@@ -72,6 +72,7 @@ class Trainer(AnchorLoop):
 
     options: AnchorOptions
     schedule: Schedule
+    decoders: ColorDecoders
     distance = False
     masks = False
 
