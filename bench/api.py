@@ -155,10 +155,10 @@ def run(
         DataError: the request or its input cannot be used.
         KeyboardInterrupt: Ctrl-C ended the run; the same call resumes it.
     """
-    from econgs_bench.bench.display import Silence, make_display
-    from econgs_bench.bench.experiment import execute
-    from econgs_bench.bench.selection import Selection
-    from econgs_bench.bench.suites import load_suite
+    from econgs_bench.bench.plan.selection import Selection
+    from econgs_bench.bench.run.display import Silence, make_display
+    from econgs_bench.bench.run.experiment import execute
+    from econgs_bench.bench.suites.suite import load_suite
     from econgs_bench.datasets.ground_truth.sampling import samples_of
 
     selection = Selection(
@@ -244,8 +244,8 @@ class Runs:
     """
 
     def __init__(self, path: _Path = "runs", *, plugins: Sequence[_Path] = ()) -> None:
-        from econgs_bench.bench.plugins import plugin_folders
-        from econgs_bench.bench.store import Store
+        from econgs_bench.bench.run.plugins import plugin_folders
+        from econgs_bench.bench.store.store import Store
 
         self._store = Store(Path(path))
         self._plugins = plugin_folders(map(str, plugins), self._store.root)
@@ -257,7 +257,7 @@ class Runs:
     @cached_property
     def tables(self) -> dict[str, pd.DataFrame]:
         """All tables of docs/reference/tables.md by name."""
-        from econgs_bench.bench.tables import build_tables
+        from econgs_bench.bench.results.tables import build_tables
         from econgs_bench.methods.registry import Registry
 
         return build_tables(self._store, Registry(self._plugins).specs, write=False)

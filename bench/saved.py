@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from econgs_bench.bench.store import Store
+from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.errors import DataError
 
 if TYPE_CHECKING:
@@ -27,8 +27,8 @@ def load(
         DataError: there is no such job, or its method refuses to compose its groups or the device.
     """
     from econgs_bench.bench.jobs.measure import load_models
-    from econgs_bench.bench.supersampling import drawn_as
-    from econgs_bench.bench.worker import prepare_device
+    from econgs_bench.bench.jobs.supersampling import drawn_as
+    from econgs_bench.bench.machine.device import prepare_device
     from econgs_bench.methods.interface import Refused
     from econgs_bench.methods.registry import Registry, load_method
 
@@ -64,7 +64,7 @@ def picture(
     Raises:
         DataError: the method refuses the edit or the composition.
     """
-    from econgs_bench.bench.monitor import as_numpy
+    from econgs_bench.bench.jobs.monitor import as_numpy
     from econgs_bench.methods.interface import Refused
 
     try:

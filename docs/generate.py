@@ -94,10 +94,10 @@ import pandas as pd
 from econgs_bench.bench.__main__ import parser
 from econgs_bench.bench.gate.baseline import read as read_baseline
 from econgs_bench.bench.gate.power import markdown as power
-from econgs_bench.bench.store import Store
-from econgs_bench.bench.suites import load_suite
-from econgs_bench.bench.tables import build_tables
-from econgs_bench.bench.tune import LOSS, SCENE_LOSS, Study, Trial, means, read_study, smaller
+from econgs_bench.bench.results.tables import build_tables
+from econgs_bench.bench.store.store import Store
+from econgs_bench.bench.suites.suite import load_suite
+from econgs_bench.bench.tune.study import LOSS, SCENE_LOSS, Study, Trial, means, read_study, smaller
 from econgs_bench.methods.interface import MethodSpec, OptionValue
 from econgs_bench.methods.options import CONFIGURATION, ITERATIONS, declared, resolve, written
 from econgs_bench.methods.registry import Registry

@@ -9,7 +9,7 @@ from types import ModuleType
 
 import pytest
 
-from econgs_bench.bench.tune import Conditions, Point, Study, Trial
+from econgs_bench.bench.tune.study import Conditions, Point, Study, Trial
 from econgs_bench.methods.econgs.spec import SPEC
 from econgs_bench.methods.options import declared, resolve
 from econgs_bench.reports.schema import TABLES, frame

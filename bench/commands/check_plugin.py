@@ -30,7 +30,7 @@ def check_plugin(options: Namespace) -> int:
     overrides = parse_assignments(f"{spec.name}.{text}" for text in options.set).get(spec.name, {})
     method = load_method(spec)
 
-    from econgs_bench.bench.worker import prepare_device
+    from econgs_bench.bench.machine.device import prepare_device
     from econgs_bench.methods.contract.checks import Subject, run_checks
 
     try:

@@ -62,7 +62,7 @@ def _torch() -> Finding:
 
 
 def _native() -> Finding:
-    from econgs_bench.bench.provenance import native_isa
+    from econgs_bench.bench.machine.provenance import native_isa
 
     try:
         import econgs_bench.econgs._native  # noqa: F401
@@ -77,9 +77,9 @@ def _native() -> Finding:
 
 
 def _cores() -> Finding:
-    from econgs_bench.bench.control_groups import cpu_quota
-    from econgs_bench.bench.machine import clock_cap
-    from econgs_bench.bench.timing import available_cores
+    from econgs_bench.bench.machine.control_groups import cpu_quota
+    from econgs_bench.bench.machine.load import clock_cap
+    from econgs_bench.bench.machine.timing import available_cores
 
     cores, quota, cap = available_cores(), cpu_quota(), clock_cap()
     detail = f"{cores} of {os.cpu_count()} usable"
@@ -96,7 +96,7 @@ def _cores() -> Finding:
 
 
 def _machine() -> Finding:
-    from econgs_bench.bench.machine import BUSY, measure_load, user_text
+    from econgs_bench.bench.machine.load import BUSY, measure_load, user_text
 
     load = measure_load()
     parts = [f"others use {load.foreign:.1f} of {load.cores} cores"]

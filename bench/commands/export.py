@@ -8,9 +8,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from econgs_bench.bench.plugins import plugin_folders
+from econgs_bench.bench.run.plugins import plugin_folders
 from econgs_bench.bench.saved import load, picture
-from econgs_bench.bench.store import Store
+from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.names import unknown
 from econgs_bench.reports.progress import step

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
-from econgs_bench.bench.store import Store, write_text
+from econgs_bench.bench.store.store import Store, write_text
 from econgs_bench.datasets.errors import DataError
 
 ERROR = 3
@@ -20,8 +20,8 @@ def baseline(options: Namespace) -> int:
     """Write the results of a store as a baseline, or update one: what the store lacks stays."""
     from econgs_bench.bench.gate import baseline as files
     from econgs_bench.bench.gate.cells import cells_of
-    from econgs_bench.bench.provenance import commit_here
-    from econgs_bench.bench.tables import build_tables
+    from econgs_bench.bench.machine.provenance import commit_here
+    from econgs_bench.bench.results.tables import build_tables
     from econgs_bench.reports.style import counted
 
     path = Path(options.out)

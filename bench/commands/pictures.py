@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from econgs_bench.bench.jobs.measure import premultiplied
-from econgs_bench.bench.plugins import plugin_folders
+from econgs_bench.bench.run.plugins import plugin_folders
 from econgs_bench.bench.saved import load, picture
-from econgs_bench.bench.store import Store
+from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.names import unknown
 from econgs_bench.reports.progress import step
@@ -38,11 +38,11 @@ def render(options: Namespace) -> int:
 
 
 def _render(options: Namespace, dataset_name: str) -> None:
-    from econgs_bench.bench import inputs
-    from econgs_bench.bench.edits import parse_edits
     from econgs_bench.bench.metrics import evaluate
-    from econgs_bench.bench.records import Request
-    from econgs_bench.bench.suites import ViewPreset
+    from econgs_bench.bench.plan import inputs
+    from econgs_bench.bench.store.records import Request
+    from econgs_bench.bench.suites.edits import parse_edits
+    from econgs_bench.bench.suites.suite import ViewPreset
     from econgs_bench.datasets.catalogue import open_dataset
     from econgs_bench.datasets.ground_truth.sampling import samples_of
     from econgs_bench.datasets.png import write_png

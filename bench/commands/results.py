@@ -8,9 +8,9 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from econgs_bench.bench.plugins import plugin_folders
-from econgs_bench.bench.store import Store
-from econgs_bench.bench.tables import build_tables
+from econgs_bench.bench.results.tables import build_tables
+from econgs_bench.bench.run.plugins import plugin_folders
+from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.reports.progress import step
 from econgs_bench.reports.terminal import line_width, print_prose

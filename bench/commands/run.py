@@ -8,28 +8,28 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from econgs_bench.bench.display import make_display, span
-from econgs_bench.bench.estimates import Estimate, Past
-from econgs_bench.bench.plan import Planner
-from econgs_bench.bench.plugins import plugin_folders
-from econgs_bench.bench.records import Job, Record
-from econgs_bench.bench.selection import Selection
-from econgs_bench.bench.store import Store
-from econgs_bench.bench.suites import load_suite
-from econgs_bench.bench.versions import of_other_source
+from econgs_bench.bench.plan.estimates import Estimate, Past
+from econgs_bench.bench.plan.planner import Planner
+from econgs_bench.bench.plan.selection import Selection
+from econgs_bench.bench.results.versions import of_other_source
+from econgs_bench.bench.run.display import make_display, span
+from econgs_bench.bench.run.plugins import plugin_folders
+from econgs_bench.bench.store.records import Job, Record
+from econgs_bench.bench.store.store import Store
+from econgs_bench.bench.suites.suite import load_suite
 from econgs_bench.reports.progress import step
 from econgs_bench.reports.style import counted
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from econgs_bench.bench.executor import Outcome
+    from econgs_bench.bench.run.executor import Outcome
 
 
 def run(options: Namespace) -> int:
     """Run the jobs of a suite and its selectors, then print the results and write the report."""
-    from econgs_bench.bench.experiment import execute
-    from econgs_bench.bench.tables import build_tables, stored_tables
+    from econgs_bench.bench.results.tables import build_tables, stored_tables
+    from econgs_bench.bench.run.experiment import execute
     from econgs_bench.reports.schema import joined
 
     done = execute(
@@ -96,8 +96,8 @@ def _disturbed(results: pd.DataFrame) -> int:
 
 
 def execution(options: Namespace) -> dict[str, Any]:
-    """How jobs are run, as :func:`.bench.experiment.execute` takes it."""
-    from econgs_bench.bench.limits import Limits
+    """How jobs are run, as :func:`.bench.run.experiment.execute` takes it."""
+    from econgs_bench.bench.run.limits import Limits
 
     return {
         "retry": options.retry or False,

@@ -12,19 +12,19 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from econgs_bench.bench.commands.results import current, report_damage
-from econgs_bench.bench.comparison import compared
-from econgs_bench.bench.plugins import remember, resolved
-from econgs_bench.bench.rungs import ladders_of
-from econgs_bench.bench.rungs import remember as remember_ladders
-from econgs_bench.bench.store import Store
-from econgs_bench.bench.tables import build_tables
+from econgs_bench.bench.results.comparison import compared
+from econgs_bench.bench.results.rungs import ladders_of
+from econgs_bench.bench.results.rungs import remember as remember_ladders
+from econgs_bench.bench.results.tables import build_tables
+from econgs_bench.bench.run.plugins import remember, resolved
+from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.errors import DataError, printable
 from econgs_bench.reports.progress import step
 
 
 def merge(options: Namespace) -> int:
     """Join stores and bundles: a job finished in one is finished in all; a success goes before a failure."""
-    from econgs_bench.bench.bundle import unpacked
+    from econgs_bench.bench.results.bundle import unpacked
 
     with ExitStack() as stack:
         step("checking what is to be joined")
@@ -110,7 +110,7 @@ def cache(options: Namespace) -> int:
 
 def bundle(options: Namespace) -> int:
     """Write a submission bundle of a store."""
-    from econgs_bench.bench.bundle import write_bundle
+    from econgs_bench.bench.results.bundle import write_bundle
 
     out, store = Path(options.out), Store(Path(options.runs))
     step(f"packing {store.root}")
@@ -132,7 +132,7 @@ def repair(options: Namespace) -> int:
 
 def verify(options: Namespace) -> int:
     """Check a bundle: 0 all of it holds, 1 something does not, 2 models could not be measured here."""
-    from econgs_bench.bench.bundle import unpack
+    from econgs_bench.bench.results.bundle import unpack
 
     path = Path(options.bundle)
     step(f"checking {path}")
@@ -142,8 +142,8 @@ def verify(options: Namespace) -> int:
         _print_lines([f"note: {note}" for note in verdict.notes])
         if verdict.problems or not options.redo:
             return _conclude(path, len(verdict.problems), "all of it holds")
-        from econgs_bench.bench.limits import Limits
-        from econgs_bench.bench.redo import redo
+        from econgs_bench.bench.run.limits import Limits
+        from econgs_bench.bench.run.redo import redo
 
         step(f"measuring {options.redo} models again")
         redone = redo(

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from econgs_bench.bench.commands.results import print_grid
 from econgs_bench.bench.commands.run import execution
-from econgs_bench.bench.store import Store
-from econgs_bench.bench.tune import (
+from econgs_bench.bench.store.store import Store
+from econgs_bench.bench.tune.study import (
     Study,
     Trial,
     Trials,
@@ -28,7 +28,7 @@ from econgs_bench.methods.options import label, written
 from econgs_bench.reports.tables.grid import Field
 
 _STARTS = {"paper": "published settings", "fair": "its own defaults"}
-"""Starting points, as :attr:`.bench.tune.Chosen.gains` names them -> for people."""
+"""Starting points, as :attr:`.bench.tune.study.Chosen.gains` names them -> for people."""
 
 
 def tune(options: Namespace) -> int:
@@ -39,11 +39,11 @@ def tune(options: Namespace) -> int:
 
 
 def _run(options: Namespace) -> int:
-    from econgs_bench.bench.display import make_display
-    from econgs_bench.bench.experiment import execute
-    from econgs_bench.bench.selection import Selection
-    from econgs_bench.bench.suites import load_suite
-    from econgs_bench.bench.tables import build_tables
+    from econgs_bench.bench.plan.selection import Selection
+    from econgs_bench.bench.results.tables import build_tables
+    from econgs_bench.bench.run.display import make_display
+    from econgs_bench.bench.run.experiment import execute
+    from econgs_bench.bench.suites.suite import load_suite
 
     selection = Selection(
         suite=load_suite(options.suite),

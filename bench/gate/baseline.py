@@ -16,7 +16,7 @@ from econgs_bench.bench.gate.cells import AND, Cell, Key, Options
 from econgs_bench.bench.gate.identity import Identity
 from econgs_bench.bench.gate.identity import differences as reasons
 from econgs_bench.bench.gate.quantities import QUANTITIES
-from econgs_bench.bench.store import write_text
+from econgs_bench.bench.store.store import write_text
 from econgs_bench.datasets.errors import DataError
 
 FORMAT = 1

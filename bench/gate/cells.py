@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from econgs_bench.bench.gate.identity import Identity
 from econgs_bench.bench.gate.quantities import QUANTITIES
-from econgs_bench.bench.store import Store
+from econgs_bench.bench.store.store import Store
 from econgs_bench.reports.clocks import CLOCKS, Clocks
 from econgs_bench.reports.style import absent, label
 from econgs_bench.reports.tables.protocols import by_scene_choice

@@ -8,8 +8,8 @@ from econgs_bench.bench.gate.audit import audit
 from econgs_bench.bench.gate.baseline import Baseline, read
 from econgs_bench.bench.gate.cells import cells_of
 from econgs_bench.bench.gate.verdict import Verdict, compare
-from econgs_bench.bench.store import Store
-from econgs_bench.bench.tables import build_tables
+from econgs_bench.bench.results.tables import build_tables
+from econgs_bench.bench.store.store import Store
 
 
 def judged(path: Path, root: Path, *, times: bool = True) -> tuple[Verdict, Baseline]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from econgs_bench.bench.gate.baseline import Baseline
 from econgs_bench.bench.gate.verdict import LEVEL, Finding, Verdict
-from econgs_bench.bench.store import write_text
+from econgs_bench.bench.store.store import write_text
 from econgs_bench.reports.text import markdown_cell, one_line, xml_text
 
 

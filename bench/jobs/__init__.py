@@ -1,1 +1,1 @@
-"""The kinds of jobs: a module each, run in a process of its own (see ``econgs_bench.bench.worker``)."""
+"""The kinds of jobs: a module each, run in a process of its own (see ``econgs_bench.bench.run.worker``)."""

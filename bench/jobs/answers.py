@@ -10,7 +10,7 @@ from typing import Any, cast, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from econgs_bench.bench.monitor import as_numpy
+from econgs_bench.bench.jobs.monitor import as_numpy
 from econgs_bench.datasets.camera import Camera
 from econgs_bench.methods.interface import Decoding
 

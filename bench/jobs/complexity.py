@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from econgs_bench.bench.jobs.context import Context
-from econgs_bench.bench.records import ComplexityResult
+from econgs_bench.bench.store.records import ComplexityResult
 from econgs_bench.datasets.catalogue import open_dataset
 from econgs_bench.datasets.transfer import TransferFunction
 from econgs_bench.datasets.volume import Volume

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from econgs_bench.bench.jobs.monitor import Progress, Stop
 from econgs_bench.bench.jobs.truth import Truth
-from econgs_bench.bench.monitor import Progress, Stop
-from econgs_bench.bench.records import Job, Record
-from econgs_bench.bench.store import Store
+from econgs_bench.bench.store.records import Job, Record
+from econgs_bench.bench.store.store import Store
 from econgs_bench.methods.interface import Method, MethodSpec
 from econgs_bench.methods.registry import load_method
 

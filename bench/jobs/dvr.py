@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 
-from econgs_bench.bench.inputs import view_request
 from econgs_bench.bench.jobs.context import Context
-from econgs_bench.bench.records import DvrResult
-from econgs_bench.bench.timing import time_frames
+from econgs_bench.bench.machine.timing import time_frames
+from econgs_bench.bench.plan.inputs import view_request
+from econgs_bench.bench.store.records import DvrResult
 from econgs_bench.datasets.catalogue import open_dataset
 from econgs_bench.datasets.memory import peak_drjit_device_bytes, peak_host_bytes
 from econgs_bench.datasets.render_views import live_renderer

@@ -5,11 +5,11 @@ from __future__ import annotations
 import shutil
 import time
 
-from econgs_bench.bench.checkpoints import read_checkpoint
 from econgs_bench.bench.jobs import answers
+from econgs_bench.bench.jobs.checkpoints import read_checkpoint
 from econgs_bench.bench.jobs.context import Context
-from econgs_bench.bench.records import EncodeResult
-from econgs_bench.bench.timing import synchronise
+from econgs_bench.bench.machine.timing import synchronise
+from econgs_bench.bench.store.records import EncodeResult
 from econgs_bench.methods.interface import check_ledger
 
 

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 from econgs_bench.bench.jobs import answers
 from econgs_bench.bench.jobs.context import Context
+from econgs_bench.bench.jobs.monitor import FitMonitor
 from econgs_bench.bench.jobs.scenes import scene_inputs
-from econgs_bench.bench.monitor import FitMonitor
-from econgs_bench.bench.records import FitResult, derived_seed
-from econgs_bench.bench.stress import stress_of
-from econgs_bench.bench.timing import mean_of, reference_seconds, synchronise, worst_of
+from econgs_bench.bench.machine.timing import mean_of, reference_seconds, synchronise, worst_of
+from econgs_bench.bench.store.records import FitResult, derived_seed
+from econgs_bench.bench.suites.stress import stress_of
 from econgs_bench.datasets.units import views_in_units
 from econgs_bench.datasets.views import ViewSet, evenly_spaced
 from econgs_bench.methods.interface import Budget, MethodSpec, Refused, SceneInput

@@ -9,14 +9,10 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from econgs_bench.bench.edits import edit_of, edits_of
-from econgs_bench.bench.identity import renderer_of, sketch
 from econgs_bench.bench.jobs import answers
 from econgs_bench.bench.jobs.context import Context
-from econgs_bench.bench.records import FrameTimes, MeasureResult, PruningResult, ViewResult
-from econgs_bench.bench.stress import stress_of
-from econgs_bench.bench.supersampling import drawn_as
-from econgs_bench.bench.timing import (
+from econgs_bench.bench.jobs.supersampling import drawn_as
+from econgs_bench.bench.machine.timing import (
     MEASURE_SECONDS,
     RULERS,
     median_timings,
@@ -24,6 +20,10 @@ from econgs_bench.bench.timing import (
     synchronise,
     time_frames,
 )
+from econgs_bench.bench.results.identity import renderer_of, sketch
+from econgs_bench.bench.store.records import FrameTimes, MeasureResult, PruningResult, ViewResult
+from econgs_bench.bench.suites.edits import edit_of, edits_of
+from econgs_bench.bench.suites.stress import stress_of
 from econgs_bench.datasets.memory import peak_host_bytes
 from econgs_bench.datasets.units import camera_in_units
 from econgs_bench.datasets.views import evenly_spaced
@@ -162,7 +162,7 @@ def _pruning(
     """What the model of a basic scene could do without; None where it tells no Gaussians apart."""
     if not isinstance(model, HasGaussians):
         return None
-    from econgs_bench.bench.pruning import pruning
+    from econgs_bench.bench.jobs.pruning import pruning
 
     context.report(stage="pruning")
     scene = context.job.subject

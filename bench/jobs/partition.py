@@ -6,8 +6,8 @@ import time
 
 from econgs_bench.bench.jobs.context import Context
 from econgs_bench.bench.jobs.scenes import scene_inputs
-from econgs_bench.bench.records import PartitionResult
-from econgs_bench.bench.timing import synchronise
+from econgs_bench.bench.machine.timing import synchronise
+from econgs_bench.bench.store.records import PartitionResult
 
 
 def run(context: Context) -> PartitionResult:

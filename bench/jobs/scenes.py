@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from econgs_bench.bench.jobs.context import Context
-from econgs_bench.bench.records import derived_seed
-from econgs_bench.bench.stress import stress_of
+from econgs_bench.bench.store.records import derived_seed
+from econgs_bench.bench.suites.stress import stress_of
 from econgs_bench.datasets.camera import Camera
 from econgs_bench.datasets.catalogue import open_dataset
 from econgs_bench.datasets.scene import Dataset
@@ -37,7 +37,7 @@ def scene_inputs(context: Context) -> list[SceneInput]:
     given to the method for its choices. With ``--split test`` the fit uses every training view and
     the method gets no validation views. Views that together pass :data:`.datasets.scratch.LIMIT` lie in a
     file. The dataset is opened when a method reads the volume itself.
-    Stress on the training input (:mod:`.bench.stress`) changes training views and cloud, nothing else.
+    Stress on the training input (:mod:`.bench.suites.stress`) changes training views and cloud, nothing else.
 
     Raises:
         Refused: a method that reads the volume itself is to work in other scene units.

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from econgs_bench.bench.store import write_text
+from econgs_bench.bench.store.store import write_text
 from econgs_bench.datasets.bounded import json_of
 from econgs_bench.datasets.camera import Camera
 from econgs_bench.datasets.errors import DataError

@@ -5,12 +5,12 @@ from __future__ import annotations
 import logging
 import time
 
-from econgs_bench.bench.inputs import edit_distance, finer, stressed, transfer_summary, views
 from econgs_bench.bench.jobs.context import Context
 from econgs_bench.bench.jobs.truth import write_truth
 from econgs_bench.bench.metrics import mean_scores
-from econgs_bench.bench.records import ViewsResult
-from econgs_bench.bench.stress import part_of
+from econgs_bench.bench.plan.inputs import edit_distance, finer, stressed, transfer_summary, views
+from econgs_bench.bench.store.records import ViewsResult
+from econgs_bench.bench.suites.stress import part_of
 from econgs_bench.datasets.catalogue import open_dataset
 from econgs_bench.datasets.cloud import cloud_source
 from econgs_bench.datasets.errors import DataError

@@ -2,8 +2,8 @@
 
 A damaged or hostile stream can make such a library read beyond its memory, allocate without bound or never
 end. So its header is compared with what the file around it says before the library gets it, and the library
-runs in a process of its own. A worker of a run (:mod:`.bench.worker`) is such a process already and decodes
-in itself, so that the times of loading that are measured are those of the codec.
+runs in a process of its own. A worker of a run (:mod:`.bench.run.worker`) is such a process already and
+decodes in itself, so that the times of loading that are measured are those of the codec.
 
 A decoder takes the bytes and returns arrays by name, so that it can run in either place.
 """

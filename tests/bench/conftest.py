@@ -15,12 +15,12 @@ import numpy as np
 import psutil
 import pytest
 
-from econgs_bench.bench.plan import Planner
-from econgs_bench.bench.records import Job, MeasureResult, ViewResult
-from econgs_bench.bench.selection import Selection
-from econgs_bench.bench.store import Store
-from econgs_bench.bench.suites import load_suite
-from econgs_bench.bench.tables import build_tables
+from econgs_bench.bench.plan.planner import Planner
+from econgs_bench.bench.plan.selection import Selection
+from econgs_bench.bench.results.tables import build_tables
+from econgs_bench.bench.store.records import Job, MeasureResult, ViewResult
+from econgs_bench.bench.store.store import Store
+from econgs_bench.bench.suites.suite import load_suite
 from econgs_bench.datasets.camera import Camera
 from econgs_bench.reports.schema import COLUMNS
 
@@ -113,10 +113,10 @@ def workers(process: subprocess.Popen) -> list[psutil.Process]:
         forks = [
             fork
             for child in children
-            if "econgs_bench.bench.processes" in child.cmdline()
+            if "econgs_bench.bench.run.processes" in child.cmdline()
             for fork in child.children()
         ]
-        return [child for child in children if "econgs_bench.bench.worker" in child.cmdline()] + forks
+        return [child for child in children if "econgs_bench.bench.run.worker" in child.cmdline()] + forks
     except psutil.Error:
         return []
 

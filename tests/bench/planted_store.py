@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from econgs_bench.bench.records import (
+from econgs_bench.bench.store.records import (
     CurvePoint,
     EncodeResult,
     FitResult,
@@ -21,9 +21,9 @@ from econgs_bench.bench.records import (
     Request,
     ViewResult,
     ViewsResult,
-    hash_of,
 )
-from econgs_bench.bench.store import Store
+from econgs_bench.bench.store.store import Store
+from econgs_bench.datasets.content import hash_of
 from econgs_bench.methods.interface import MethodSpec
 from econgs_bench.methods.options import resolve
 from econgs_bench.methods.registry import Registry

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from econgs_bench.bench import worker
 from econgs_bench.bench.jobs import answers, views
-from econgs_bench.bench.monitor import Progress, Stop
-from econgs_bench.bench.records import Task, ViewsResult
-from econgs_bench.bench.store import Store
+from econgs_bench.bench.jobs.monitor import Progress, Stop
+from econgs_bench.bench.run import worker
+from econgs_bench.bench.store.records import Task, ViewsResult
+from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.camera import Camera
 
 from .conftest import SMALL, plan, suite_file

@@ -15,10 +15,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from econgs_bench.bench.bundle import MANIFEST, verify_bundle, write_bundle
-from econgs_bench.bench.records import Task
-from econgs_bench.bench.store import Store
-from econgs_bench.bench.tables import stored_tables
+from econgs_bench.bench.results.bundle import MANIFEST, verify_bundle, write_bundle
+from econgs_bench.bench.results.tables import stored_tables
+from econgs_bench.bench.store.records import Task
+from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.seals import sealed, unsealed
 
@@ -135,7 +135,8 @@ def test_views_that_cannot_be_made_again_leave_their_record(unpacked):
     folder.mkdir()
     (folder / "job.json").write_text(Task(job=views.job, threads=1).model_dump_json())
     script = (
-        "import sys, pathlib, econgs_bench.bench.worker as w; from econgs_bench.bench.store import Store;"
+        "import sys, pathlib, econgs_bench.bench.run.worker as w;"
+        "from econgs_bench.bench.store.store import Store;"
         "f = pathlib.Path(sys.argv[1]);"
         "r = Store(f.parent.parent).record(f.name); change = {'status': 'failed', 'reason': 'no volume'};"
         "w.run = lambda *a: r.model_copy(update=change); sys.exit(w.main(f))"
@@ -231,10 +232,10 @@ def test_texts_beyond_any_bundle_are_refused_unread(packed, tmp_path, monkeypatc
         resigned(files)
 
     path = rewritten(packed, tmp_path, longer)
-    monkeypatch.setattr("econgs_bench.bench.bundle.LONGEST", 100_000)
+    monkeypatch.setattr("econgs_bench.bench.results.bundle.LONGEST", 100_000)
     (problem,) = verify_bundle(path)
     assert re.fullmatch(r"jobs/fit-\w+/record.json: \d+ bytes, more than any has", problem)
-    monkeypatch.setattr("econgs_bench.bench.bundle.LONGEST", 100)
+    monkeypatch.setattr("econgs_bench.bench.results.bundle.LONGEST", 100)
     with pytest.raises(DataError, match=r"is no bundle \(bundle.json: \d+ bytes, more than any has\)"):
         verify_bundle(path)
 

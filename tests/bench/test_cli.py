@@ -18,10 +18,10 @@ import pytest
 
 from econgs_bench.bench.__main__ import COMMANDS, main
 from econgs_bench.bench.commands.run import _state
-from econgs_bench.bench.display import Display
-from econgs_bench.bench.experiment import _announce
-from econgs_bench.bench.records import hash_of
-from econgs_bench.bench.store import Store
+from econgs_bench.bench.run.display import Display
+from econgs_bench.bench.run.experiment import _announce
+from econgs_bench.bench.store.store import Store
+from econgs_bench.datasets.content import hash_of
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.ground_truth import probe
 from econgs_bench.datasets.png import read_png

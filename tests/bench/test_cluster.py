@@ -12,7 +12,7 @@ from contextlib import suppress
 import psutil
 import pytest
 
-from econgs_bench.bench.experiment import _executor
+from econgs_bench.bench.run.experiment import _executor
 from econgs_bench.datasets.errors import DataError
 
 from .conftest import PATIENCE, Bench, attempts, plain_tables, suite_file
@@ -48,10 +48,10 @@ def _at_work(process: subprocess.Popen) -> list[psutil.Process]:
                 for grandchild in child.children():
                     forks = (
                         grandchild.children()
-                        if "econgs_bench.bench.processes" in grandchild.cmdline()
+                        if "econgs_bench.bench.run.processes" in grandchild.cmdline()
                         else []
                     )
-                    if forks or "econgs_bench.bench.worker" in grandchild.cmdline():
+                    if forks or "econgs_bench.bench.run.worker" in grandchild.cmdline():
                         found.append(child)
     return found
 
@@ -161,7 +161,7 @@ def test_what_cannot_be_done_is_said_with_a_remedy(bench, tmp_path, monkeypatch)
     bench.environment["DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT"] = "1s"
     lost = bench.run(*ON, "tcp://127.0.0.1:1", code=2).stderr
     assert "no scheduler answers there" in lost
-    for name in ("econgs_bench.bench.cluster", "econgs_bench.bench.node"):
+    for name in ("econgs_bench.bench.run.cluster", "econgs_bench.bench.run.node"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(

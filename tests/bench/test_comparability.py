@@ -12,11 +12,11 @@ import pytest
 
 from econgs_bench.bench.__main__ import main
 from econgs_bench.bench.api import Runs
-from econgs_bench.bench.bundle import write_bundle
 from econgs_bench.bench.commands.results import print_answers
-from econgs_bench.bench.lineage import Lineage
-from econgs_bench.bench.store import Store
-from econgs_bench.bench.tables import build_tables, derived
+from econgs_bench.bench.results.bundle import write_bundle
+from econgs_bench.bench.results.lineage import Lineage
+from econgs_bench.bench.results.tables import build_tables, derived
+from econgs_bench.bench.store.store import Store
 from econgs_bench.methods.registry import Registry
 from econgs_bench.reports.charts import svg
 from econgs_bench.reports.charts.report import Report

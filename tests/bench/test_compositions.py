@@ -6,7 +6,8 @@ import re
 
 import pytest
 
-from econgs_bench.bench.records import (
+from econgs_bench.bench.results.tables import stored_tables
+from econgs_bench.bench.store.records import (
     EncodeResult,
     FitResult,
     PartitionResult,
@@ -14,8 +15,7 @@ from econgs_bench.bench.records import (
     ViewResult,
     ViewsResult,
 )
-from econgs_bench.bench.store import Store
-from econgs_bench.bench.tables import stored_tables
+from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.errors import DataError, UnknownName
 from econgs_bench.datasets.png import read_png
 from econgs_bench.reports.schema import joined

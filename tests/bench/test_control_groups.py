@@ -1,6 +1,6 @@
 import pytest
 
-from econgs_bench.bench.control_groups import cpu_quota, memory_limit
+from econgs_bench.bench.machine.control_groups import cpu_quota, memory_limit
 
 
 def tree(folder, groups, files):

@@ -1,6 +1,6 @@
 """The suite ``departures`` takes back each departure of ECoNGS from the paper."""
 
-from econgs_bench.bench.suites import load_suite
+from econgs_bench.bench.suites.suite import load_suite
 from econgs_bench.methods.econgs.spec import SPEC
 from econgs_bench.methods.options import resolve
 

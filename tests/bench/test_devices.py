@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 import torch
 
-from econgs_bench.bench.display import Display
-from econgs_bench.bench.experiment import check_device, execute
-from econgs_bench.bench.selection import Selection
-from econgs_bench.bench.suites import load_suite
+from econgs_bench.bench.plan.selection import Selection
+from econgs_bench.bench.run.display import Display
+from econgs_bench.bench.run.experiment import check_device, execute
+from econgs_bench.bench.suites.suite import load_suite
 from econgs_bench.datasets.errors import DataError
 
 

@@ -4,10 +4,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from econgs_bench.bench.display import Display, status_line
-from econgs_bench.bench.plan import Planner
-from econgs_bench.bench.selection import Selection
-from econgs_bench.bench.suites import load_suite
+from econgs_bench.bench.plan.planner import Planner
+from econgs_bench.bench.plan.selection import Selection
+from econgs_bench.bench.run.display import Display, status_line
+from econgs_bench.bench.suites.suite import load_suite
 
 STATE = {
     "stage": "growth under noise", "iteration": 549, "iterations": 1600, "left": 125.0, "psnr": 25.452,

@@ -8,8 +8,8 @@ import signal
 import pytest
 
 from econgs_bench.bench.__main__ import _with_values, parser
-from econgs_bench.bench.disturbed import disturbed_jobs, to_measure_again
-from econgs_bench.bench.store import Store, write_text
+from econgs_bench.bench.results.disturbed import disturbed_jobs, to_measure_again
+from econgs_bench.bench.store.store import Store, write_text
 from econgs_bench.datasets.seals import sealed
 
 from .conftest import PLUGINS, Bench, wait_for, workers

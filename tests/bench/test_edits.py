@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from econgs_bench.bench.edits import parse_edits
+from econgs_bench.bench.suites.edits import parse_edits
 from econgs_bench.datasets.edits import Edit
 from econgs_bench.datasets.errors import DataError
 

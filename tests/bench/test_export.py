@@ -7,7 +7,7 @@ import re
 import pytest
 
 from econgs_bench.bench.__main__ import main
-from econgs_bench.bench.store import Store
+from econgs_bench.bench.store.store import Store
 from econgs_bench.methods.formats import ply, sog, spz
 
 SUITE = """

@@ -7,10 +7,10 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from econgs_bench.bench.identity import FILES
-from econgs_bench.bench.lineage import Lineage
-from econgs_bench.bench.records import Record
-from econgs_bench.bench.tables import derived
+from econgs_bench.bench.results.identity import FILES
+from econgs_bench.bench.results.lineage import Lineage
+from econgs_bench.bench.results.tables import derived
+from econgs_bench.bench.store.records import Record
 from econgs_bench.methods.registry import Registry
 from econgs_bench.reports.schema import METRICS
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from econgs_bench.bench.store import Store, read_record
+from econgs_bench.bench.store.store import Store, read_record
 
 from .conftest import Bench, runs, wait_for, workers
 

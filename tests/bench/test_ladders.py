@@ -10,14 +10,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from econgs_bench.bench import inputs
-from econgs_bench.bench.bundle import verify_bundle, write_bundle
 from econgs_bench.bench.jobs.scenes import scene_inputs
 from econgs_bench.bench.jobs.truth import Truth
-from econgs_bench.bench.records import Request
-from econgs_bench.bench.rungs import rungs_of
-from econgs_bench.bench.stress import KINDS, part_of, stress_of
-from econgs_bench.bench.suites import load_suite
+from econgs_bench.bench.plan import inputs
+from econgs_bench.bench.results.bundle import verify_bundle, write_bundle
+from econgs_bench.bench.results.rungs import rungs_of
+from econgs_bench.bench.store.records import Request
+from econgs_bench.bench.suites.stress import KINDS, part_of, stress_of
+from econgs_bench.bench.suites.suite import load_suite
 from econgs_bench.datasets.catalogue import open_dataset
 from econgs_bench.datasets.errors import DataError, UnknownName
 
@@ -310,8 +310,8 @@ def test_a_rung_that_breaks_is_repeated(bench, suite) -> None:
 
 
 def test_a_bundle_keeps_its_ladders(bench, suite, tmp_path) -> None:
-    from econgs_bench.bench.rungs import FILE
-    from econgs_bench.bench.store import Store
+    from econgs_bench.bench.results.rungs import FILE
+    from econgs_bench.bench.store.store import Store
 
     bench.run_suite(
         suite('ladders = [{ name = "b", title = "", rungs = ["", "noise=9"] }]'), "--scene", "shock"

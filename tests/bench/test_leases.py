@@ -12,17 +12,17 @@ from concurrent.futures import ThreadPoolExecutor
 import psutil
 import pytest
 
-from econgs_bench.bench import leases
-from econgs_bench.bench.leases import EXPIRY, Held, Lease, Lost
-from econgs_bench.bench.records import Job, Record, Request
-from econgs_bench.bench.store import Store
+from econgs_bench.bench.store import leases
+from econgs_bench.bench.store.leases import EXPIRY, Held, Lease, Lost
+from econgs_bench.bench.store.records import Job, Record, Request
+from econgs_bench.bench.store.store import Store
 
 from .conftest import PATIENCE
 
 HOLDER = """
 import sys, time
 from pathlib import Path
-from econgs_bench.bench.leases import Lease
+from econgs_bench.bench.store.leases import Lease
 lease = Lease(Path(sys.argv[1])).acquire()
 print("held", flush=True)
 time.sleep(600)

@@ -15,8 +15,8 @@ from types import SimpleNamespace
 import psutil
 import pytest
 
-from econgs_bench.bench.estimates import Past
-from econgs_bench.bench.limits import (
+from econgs_bench.bench.plan.estimates import Past
+from econgs_bench.bench.run.limits import (
     LEAST_SECONDS,
     OFF,
     SHARE,
@@ -27,10 +27,10 @@ from econgs_bench.bench.limits import (
     time_reason,
     used_memory,
 )
-from econgs_bench.bench.migration import migrated
-from econgs_bench.bench.records import Record
-from econgs_bench.bench.runner import Runner
-from econgs_bench.bench.store import Store
+from econgs_bench.bench.run.runner import Runner
+from econgs_bench.bench.store.migration import migrated
+from econgs_bench.bench.store.records import Record
+from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.seals import unsealed
 from econgs_bench.methods.registry import Registry
 
@@ -133,8 +133,8 @@ def test_looks_at_memory_go_on_while_the_machine_is_busy(suite, tmp_path, monkey
     job = next(job for job in plan(suite()) if job.kind == "fit")
     store = Store(tmp_path / "runs", create=True)
     (store.partial / job.id).mkdir()
-    monkeypatch.setattr("econgs_bench.bench.runner.used_memory", slow)
-    monkeypatch.setattr("econgs_bench.bench.runner.end_session", lambda pid: None)
+    monkeypatch.setattr("econgs_bench.bench.run.runner.used_memory", slow)
+    monkeypatch.setattr("econgs_bench.bench.run.runner.end_session", lambda pid: None)
     runner = Runner(
         store, None, Limit(100, "here"), plugins=(), threads=1, stops=lambda: 0, show=lambda job, state: None
     )

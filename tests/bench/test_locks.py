@@ -11,7 +11,7 @@ import textwrap
 import pytest
 from filelock import FileLock, Timeout
 
-from econgs_bench.bench.locks import check_locks, holder, lock_file, locked
+from econgs_bench.bench.machine.locks import check_locks, holder, lock_file, locked
 from econgs_bench.datasets.errors import DataError
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="users and permissions of POSIX")
@@ -35,7 +35,7 @@ def as_other(code: str, folder) -> subprocess.Popen[str]:
     """A process of another user."""
     environment = {**os.environ, "BENCH_LOCKS": str(folder)}
     become = (  # after all imports: the interpreter may lie where others may not look
-        "import os, econgs_bench.bench.cores, econgs_bench.bench.locks\n"
+        "import os, econgs_bench.bench.machine.cores, econgs_bench.bench.machine.locks\n"
         f"if os.getuid() == 0: os.setgroups([]); os.setgid({OTHER}); os.setuid({OTHER})\n"
     )
     return subprocess.Popen(
@@ -52,8 +52,8 @@ def told(process) -> str:
 
 TAKE_ALL = """
 from contextlib import ExitStack
-from econgs_bench.bench.cores import claim_cores
-from econgs_bench.bench.locks import check_locks, locked
+from econgs_bench.bench.machine.cores import claim_cores
+from econgs_bench.bench.machine.locks import check_locks, locked
 check_locks()
 with locked("timing"):
     pass
@@ -87,7 +87,7 @@ def test_a_lock_that_its_owner_has_closed_names_him(folder) -> None:
     lock_file("timing").touch()
     lock_file("timing").chmod(0o000)
     code = """
-    from econgs_bench.bench.locks import check_locks
+    from econgs_bench.bench.machine.locks import check_locks
     from econgs_bench.datasets.errors import DataError
     try:
         check_locks()
@@ -106,7 +106,7 @@ def test_who_holds_a_lock_is_named(folder) -> None:
     other = as_other(
         """
         import sys
-        from econgs_bench.bench.locks import locked
+        from econgs_bench.bench.machine.locks import locked
         with locked("timing"):
             print("held", flush=True)
             sys.stdin.read()

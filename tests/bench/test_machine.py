@@ -8,10 +8,10 @@ from argparse import Namespace
 
 import pytest
 
-from econgs_bench.bench import machine
 from econgs_bench.bench.commands import doctor
-from econgs_bench.bench.locks import locked
-from econgs_bench.bench.machine import Load, clock_cap, measure_load
+from econgs_bench.bench.machine import load as machine
+from econgs_bench.bench.machine.load import Load, clock_cap, measure_load
+from econgs_bench.bench.machine.locks import locked
 
 EVEN = (0.1,) * 20
 

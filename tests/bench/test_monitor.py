@@ -9,10 +9,10 @@ import time
 import numpy as np
 import pytest
 
-from econgs_bench.bench.checkpoints import VERSION, Damaged, read_checkpoint, write_checkpoint
+from econgs_bench.bench.jobs.checkpoints import VERSION, Damaged, read_checkpoint, write_checkpoint
 from econgs_bench.bench.jobs.measure import _decoding
-from econgs_bench.bench.monitor import FitMonitor, Stop, Stopped
-from econgs_bench.bench.timing import AMID_SECONDS, RULERS, median_timings, time_frames
+from econgs_bench.bench.jobs.monitor import FitMonitor, Stop, Stopped
+from econgs_bench.bench.machine.timing import AMID_SECONDS, RULERS, median_timings, time_frames
 from econgs_bench.datasets.camera import Camera
 from econgs_bench.datasets.camera_paths import look_at_origin
 from econgs_bench.datasets.errors import DataError
@@ -248,8 +248,8 @@ class _Clock:
     def __init__(self, monkeypatch, laps=(1.0,)) -> None:
         self.time, self.laps = 0.0, itertools.chain(laps, itertools.repeat(laps[-1]))
         self.at: list[float] = []
-        monkeypatch.setattr("econgs_bench.bench.timing.time.perf_counter", lambda: self.time)
-        monkeypatch.setattr("econgs_bench.bench.timing.lap_seconds", self.lap)
+        monkeypatch.setattr("econgs_bench.bench.machine.timing.time.perf_counter", lambda: self.time)
+        monkeypatch.setattr("econgs_bench.bench.machine.timing.lap_seconds", self.lap)
 
     def lap(self) -> float:
         self.at.append(self.time)
@@ -294,7 +294,7 @@ def test_the_kernel_runs_amid_the_frames_and_its_longest_time_is_kept(monkeypatc
 
 def test_no_native_core_no_reference(monkeypatch) -> None:
     clock = _Clock(monkeypatch)
-    monkeypatch.setattr("econgs_bench.bench.timing.lap_seconds", lambda: None)
+    monkeypatch.setattr("econgs_bench.bench.machine.timing.lap_seconds", lambda: None)
     times = time_frames(lambda camera: setattr(clock, "time", clock.time + 0.03), PATH, "cpu")
     assert times.reference_seconds is times.reference_worst is None
 
@@ -329,7 +329,7 @@ def test_a_cache_of_finished_pictures_gains_nothing(monkeypatch, decimals) -> No
 def test_an_interruption_is_no_part_of_a_frame(monkeypatch) -> None:
     """A frame takes 2 ms, and 4 ms for ten frames in a row, in which the machine does something else too."""
     clock, frames = [0.0], [0]
-    monkeypatch.setattr("econgs_bench.bench.timing.time.perf_counter", lambda: clock[0])
+    monkeypatch.setattr("econgs_bench.bench.machine.timing.time.perf_counter", lambda: clock[0])
 
     def timings(camera: Camera) -> dict[str, float]:
         frames[0] += 1
@@ -369,8 +369,8 @@ def test_a_model_that_is_decoded_once_is_timed_with_decoding_in_each_frame_too()
 def test_the_kernel_runs_while_the_clock_of_a_fit_stands(tmp_path, monkeypatch) -> None:
     """At stops at least two seconds apart; the longest time outlives an interruption."""
     now = [0.0]
-    monkeypatch.setattr("econgs_bench.bench.monitor.time.monotonic", lambda: now[0])
-    monkeypatch.setattr("econgs_bench.bench.monitor.time.perf_counter", lambda: now[0])
+    monkeypatch.setattr("econgs_bench.bench.jobs.monitor.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("econgs_bench.bench.jobs.monitor.time.perf_counter", lambda: now[0])
     laps = iter([0.1, 0.3, 0.2])
 
     def kernel() -> float:

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from econgs_bench.bench.plugins import ID, plugin_folders, remember
-from econgs_bench.bench.store import Store
+from econgs_bench.bench.run.plugins import ID, plugin_folders, remember
+from econgs_bench.bench.store.store import Store
 
 PLUGIN = """
 from econgs_bench.methods.interface import MethodSpec

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from econgs_bench.bench.processes import Fork, Processes
-from econgs_bench.bench.provenance import imports_torch
-from econgs_bench.bench.runner import THREAD_VARIABLES
-from econgs_bench.bench.store import Store
-from econgs_bench.bench.timing import available_cores
+from econgs_bench.bench.machine.provenance import imports_torch
+from econgs_bench.bench.machine.timing import available_cores
+from econgs_bench.bench.run.processes import Fork, Processes
+from econgs_bench.bench.run.runner import THREAD_VARIABLES
+from econgs_bench.bench.store.store import Store
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="workers are forked on Linux only")
 
@@ -56,7 +56,7 @@ def test_a_server_that_died_is_started_again(processes, tmp_path) -> None:
 
 
 def test_without_a_server_workers_have_interpreters_of_their_own(processes, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr("econgs_bench.bench.processes.SERVER", "no.such.module")
+    monkeypatch.setattr("econgs_bench.bench.run.processes.SERVER", "no.such.module")
     with (tmp_path / "log.txt").open("ab") as log:
         worker = processes.fork(tmp_path, log)
     assert isinstance(worker, subprocess.Popen)
@@ -72,7 +72,7 @@ def test_a_fork_takes_the_memory_of_an_interpreter_of_its_own(bench, tmp_path) -
         shutil.rmtree(path) if path.is_dir() else path.unlink()
     environment = bench.environment | dict.fromkeys(THREAD_VARIABLES, str(available_cores()))
     subprocess.run(
-        [sys.executable, "-m", "econgs_bench.bench.worker", job],
+        [sys.executable, "-m", "econgs_bench.bench.run.worker", job],
         env=environment,
         check=True,
         stdout=subprocess.DEVNULL,

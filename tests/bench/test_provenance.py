@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from econgs_bench.bench import provenance
+from econgs_bench.bench.machine import provenance
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from econgs_bench.bench.jobs.measure import mean_drawn
-from econgs_bench.bench.monitor import as_numpy
-from econgs_bench.bench.pruning import by_weight, pruning, removable
+from econgs_bench.bench.jobs.monitor import as_numpy
+from econgs_bench.bench.jobs.pruning import by_weight, pruning, removable
 from econgs_bench.datasets.views import ViewSet
 from econgs_bench.econgs.splat import rasterise
 from econgs_bench.econgs.splat.splats import Splats

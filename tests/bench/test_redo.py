@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from econgs_bench.bench.bundle import write_bundle
-from econgs_bench.bench.limits import Limits
-from econgs_bench.bench.redo import VIEWS, Draw, redo
-from econgs_bench.bench.store import Store
+from econgs_bench.bench.results.bundle import write_bundle
+from econgs_bench.bench.run.limits import Limits
+from econgs_bench.bench.run.redo import VIEWS, Draw, redo
+from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.png import write_png
 from econgs_bench.datasets.seals import sealed, unsealed

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from econgs_bench.bench.migration import migrated
-from econgs_bench.bench.records import DvrResult, Record, hash_of
-from econgs_bench.bench.store import Store, read_record
-from econgs_bench.bench.timing import RULERS
+from econgs_bench.bench.machine.timing import RULERS
+from econgs_bench.bench.store.migration import migrated
+from econgs_bench.bench.store.records import DvrResult, Record
+from econgs_bench.bench.store.store import Store, read_record
+from econgs_bench.datasets.content import hash_of
 from tests.bench.conftest import measured, plan
 
 
@@ -24,7 +25,7 @@ def test_another_ruler_measures_again_and_fits_nothing_again(suite, monkeypatch)
     before = keys(text)
     assert before.keys() == {"views", "dvr", "complexity", "fit", "encode", "measure"}
     for part, kinds in (("frame", {"dvr", "measure"}), ("parts", {"measure"})):
-        monkeypatch.setattr("econgs_bench.bench.plan.RULERS", RULERS | {part: 99})
+        monkeypatch.setattr("econgs_bench.bench.plan.planner.RULERS", RULERS | {part: 99})
         after = keys(text)
         assert {kind for kind in before if before[kind].isdisjoint(after[kind])} == kinds
         assert {kind for kind in before if before[kind] != after[kind]} == kinds

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from filelock import FileLock
 
-from econgs_bench.bench.records import Record
+from econgs_bench.bench.store.records import Record
 from econgs_bench.datasets.png import read_png
 from econgs_bench.reports.schema import TABLES, read_tables
 

@@ -14,10 +14,10 @@ from econgs_bench.bench.__main__ import main
 from econgs_bench.bench.commands.samples import METRICS, NUMBERS
 from econgs_bench.bench.jobs import views as views_job
 from econgs_bench.bench.jobs.context import Context
-from econgs_bench.bench.monitor import Stop
-from econgs_bench.bench.selection import Selection
-from econgs_bench.bench.store import Store
-from econgs_bench.bench.suites import load_suite
+from econgs_bench.bench.jobs.monitor import Stop
+from econgs_bench.bench.plan.selection import Selection
+from econgs_bench.bench.store.store import Store
+from econgs_bench.bench.suites.suite import load_suite
 from econgs_bench.datasets.errors import DataError
 
 from .conftest import plan, suite_file

@@ -13,10 +13,11 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from econgs_bench.bench.comparison import compared
-from econgs_bench.bench.records import EncodeResult, Job, Record, Request, derived_seed, hash_of
-from econgs_bench.bench.store import Store
-from econgs_bench.bench.tables import build_tables, share, stored_tables
+from econgs_bench.bench.results.comparison import compared
+from econgs_bench.bench.results.tables import build_tables, share, stored_tables
+from econgs_bench.bench.store.records import EncodeResult, Job, Record, Request, derived_seed
+from econgs_bench.bench.store.store import Store
+from econgs_bench.datasets.content import hash_of
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.methods.interface import check_ledger
 from econgs_bench.reports.schema import frame, joined, read_tables

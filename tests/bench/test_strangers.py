@@ -16,9 +16,9 @@ from hashlib import sha256
 import pytest
 
 from econgs_bench.bench.__main__ import main
-from econgs_bench.bench.bundle import MANIFEST, write_bundle
-from econgs_bench.bench.records import Record
-from econgs_bench.bench.store import Store, read_record
+from econgs_bench.bench.results.bundle import MANIFEST, write_bundle
+from econgs_bench.bench.store.records import Record
+from econgs_bench.bench.store.store import Store, read_record
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.seals import sealed, unsealed
 from tests.bench.test_bundle import resigned, rewritten
@@ -315,7 +315,7 @@ def test_a_small_bundle_takes_little_memory(packed, tmp_path, bomb, command) -> 
     assert path.stat().st_size < 1 << 20
     code = (
         "import resource, sys; from econgs_bench.bench.__main__ import main\n"
-        "import econgs_bench.bench.bundle, pandas, econgs_bench.bench.tables\n"
+        "import econgs_bench.bench.results.bundle, pandas, econgs_bench.bench.results.tables\n"
         "size = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize() + (500 << 20)\n"
         "resource.setrlimit(resource.RLIMIT_AS, (size, size)); sys.exit(main(sys.argv[1:]))"
     )
@@ -342,7 +342,7 @@ def test_what_unpacks_without_bound_is_refused_unread(packed, tmp_path, method, 
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for other, data in files.items():
             archive.writestr(other, data, method if other == name else zipfile.ZIP_DEFLATED)
-    from econgs_bench.bench.bundle import verify_bundle
+    from econgs_bench.bench.results.bundle import verify_bundle
 
     with pytest.raises(DataError, match="neither stored nor deflated"):
         verify_bundle(path)
@@ -435,7 +435,7 @@ def test_no_file_of_a_bundle_leads_out_of_it(packed, tmp_path, name) -> None:
         files[name] = b"payload"
         resigned(files)
 
-    from econgs_bench.bench.bundle import unpack
+    from econgs_bench.bench.results.bundle import unpack
 
     folder = tmp_path / "here" / "unpacked"
     folder.mkdir(parents=True)
@@ -446,7 +446,7 @@ def test_no_file_of_a_bundle_leads_out_of_it(packed, tmp_path, name) -> None:
 
 
 def test_the_bytes_that_are_hashed_are_those_that_are_unpacked(packed, tmp_path) -> None:
-    from econgs_bench.bench.bundle import unpack
+    from econgs_bench.bench.results.bundle import unpack
 
     (tmp_path / "unpacked").mkdir()
     assert unpack(packed, tmp_path / "unpacked").problems == []

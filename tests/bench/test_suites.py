@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from econgs_bench.bench.edits import edits_of
-from econgs_bench.bench.plan import Planner
-from econgs_bench.bench.selection import Selection
-from econgs_bench.bench.suites import VIEWS, load_suite, names
+from econgs_bench.bench.plan.planner import Planner
+from econgs_bench.bench.plan.selection import Selection
+from econgs_bench.bench.suites.edits import edits_of
+from econgs_bench.bench.suites.suite import VIEWS, load_suite, names
 from econgs_bench.datasets.catalogue import list_datasets
 from econgs_bench.datasets.errors import DataError, UnknownName
 from econgs_bench.reports.paper.layouts import layouts, published_as, takes
@@ -44,8 +44,8 @@ def test_without_data_a_suite_names_scenes_that_its_datasets_have(name):
 
 @pytest.mark.parametrize("name", ["design", "storage", "hyperparameters", "threshold", "init-points"])
 def test_variants_of_a_suite_are_options_that_methods_have(name, monkeypatch):
-    monkeypatch.setattr("econgs_bench.bench.selection.subsets", lambda *_: [])
-    monkeypatch.setattr("econgs_bench.bench.plan.subsets", lambda *_: [])
+    monkeypatch.setattr("econgs_bench.bench.plan.selection.subsets", lambda *_: [])
+    monkeypatch.setattr("econgs_bench.bench.plan.planner.subsets", lambda *_: [])
     suite = load_suite(name)
     planner = Planner(Selection(suite), {})
     assert len(planner._settings) == len(suite.variants)

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 from econgs_bench.bench import api
-from econgs_bench.bench.bundle import write_bundle
-from econgs_bench.bench.plan import Planner
-from econgs_bench.bench.redo import redo
+from econgs_bench.bench.jobs.supersampling import Supersampled, drawn_as
+from econgs_bench.bench.plan.planner import Planner
+from econgs_bench.bench.plan.selection import Selection
+from econgs_bench.bench.results.bundle import write_bundle
+from econgs_bench.bench.run.redo import redo
 from econgs_bench.bench.saved import load
-from econgs_bench.bench.selection import Selection
-from econgs_bench.bench.store import Store
-from econgs_bench.bench.suites import load_suite
-from econgs_bench.bench.supersampling import Supersampled, drawn_as
+from econgs_bench.bench.store.store import Store
+from econgs_bench.bench.suites.suite import load_suite
 from econgs_bench.datasets.camera import Camera
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.methods import reference
@@ -171,7 +171,7 @@ def test_a_drawing_that_the_user_sets_has_all_rates_and_lengths():
 
 def test_jobs_of_one_sample_have_the_keys_of_before(toys, tmp_path, monkeypatch):
     """The keys were computed at commit 94dde38, which knew no samples, with the same plugin and suite."""
-    monkeypatch.setattr("econgs_bench.bench.plan.RULERS", {"frame": 2, "parts": 3})
+    monkeypatch.setattr("econgs_bench.bench.plan.planner.RULERS", {"frame": 2, "parts": 3})
     chosen = replace(load_suite(suite_file(tmp_path, SMALL)), variants=({}, {"drawn-toy": {"samples": 16}}))
     selection = Selection(chosen, methods=("drawn-toy",), samples=1, plugins=(toys,))
     planned = Planner(selection, {"psnr": "1"}).jobs(None)

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from econgs_bench.bench.migration import migrated
-from econgs_bench.bench.records import SCHEMA, PruningResult, Record
-from econgs_bench.bench.tables import stored_tables
+from econgs_bench.bench.results.tables import stored_tables
+from econgs_bench.bench.store.migration import migrated
+from econgs_bench.bench.store.records import SCHEMA, PruningResult, Record
 from econgs_bench.datasets.seals import unsealed
 from econgs_bench.methods.gaussian_splatting.spec import SPEC
 from econgs_bench.methods.interface import RateKnob, option

@@ -162,7 +162,7 @@ def test_colors_of_rich_pass_and_the_streams_come_back(capsys) -> None:
 
 
 def test_the_log_of_a_job_is_utf8_whatever_the_terminal_has(bench: Bench, tmp_path: Path) -> None:
-    from econgs_bench.bench.runner import _environment
+    from econgs_bench.bench.run.runner import _environment
 
     code = "print('\N{MULTIPLICATION SIGN}\\udce9')"
     done = subprocess.run(

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from econgs_bench.bench.timing import time_frames
+from econgs_bench.bench.machine.timing import time_frames
 from econgs_bench.datasets.camera import Camera
 
 
 def test_fps_is_that_of_the_median_frame(monkeypatch) -> None:
     """Frames take 1 to 19 ms, each as often as any other."""
     clock, frames = [0.0], [0]
-    monkeypatch.setattr("econgs_bench.bench.timing.time.perf_counter", lambda: clock[0])
-    monkeypatch.setattr("econgs_bench.bench.timing.lap_seconds", lambda: None)
+    monkeypatch.setattr("econgs_bench.bench.machine.timing.time.perf_counter", lambda: clock[0])
+    monkeypatch.setattr("econgs_bench.bench.machine.timing.lap_seconds", lambda: None)
     milliseconds = np.random.default_rng(0).permutation(np.arange(1, 20))
 
     def render(camera: Camera) -> None:

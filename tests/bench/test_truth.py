@@ -10,15 +10,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from econgs_bench.bench import tables
 from econgs_bench.bench.jobs import scenes
 from econgs_bench.bench.jobs import views as views_job
 from econgs_bench.bench.jobs.context import Context
 from econgs_bench.bench.jobs.fit import read_volumes, refuse_without_volume
+from econgs_bench.bench.jobs.monitor import Stop
 from econgs_bench.bench.jobs.truth import Truth, write_truth
-from econgs_bench.bench.monitor import Stop
-from econgs_bench.bench.records import Record, derived_seed
-from econgs_bench.bench.store import Store
+from econgs_bench.bench.results import tables
+from econgs_bench.bench.store.records import Record, derived_seed
+from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets import scratch
 from econgs_bench.datasets.camera import Camera
 from econgs_bench.datasets.catalogue import open_dataset

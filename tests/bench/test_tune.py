@@ -14,15 +14,16 @@ import numpy as np
 import pytest
 from optuna._hypervolume import compute_hypervolume
 
-from econgs_bench.bench import tune
 from econgs_bench.bench.__main__ import main
 from econgs_bench.bench.commands import tune as command_line
-from econgs_bench.bench.records import EncodeResult, FitResult, Job, Record, ViewsResult
-from econgs_bench.bench.selection import Selection
-from econgs_bench.bench.store import Store
-from econgs_bench.bench.suites import load_suite
-from econgs_bench.bench.tables import build_tables
-from econgs_bench.bench.tune import (
+from econgs_bench.bench.plan.selection import Selection
+from econgs_bench.bench.results.tables import build_tables
+from econgs_bench.bench.store.progress import now
+from econgs_bench.bench.store.records import EncodeResult, FitResult, Job, Record, ViewsResult
+from econgs_bench.bench.store.store import Store
+from econgs_bench.bench.suites.suite import load_suite
+from econgs_bench.bench.tune import study as tune
+from econgs_bench.bench.tune.study import (
     Point,
     Trial,
     Trials,
@@ -32,7 +33,6 @@ from econgs_bench.bench.tune import (
     range_of,
     search_space,
 )
-from econgs_bench.bench.worker import now
 from econgs_bench.datasets.errors import DataError, UnknownName
 from econgs_bench.methods.interface import OPTION, PRESETS, Option
 from econgs_bench.methods.options import parse_assignments, resolve

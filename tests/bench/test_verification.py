@@ -16,10 +16,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from econgs_bench.bench.bundle import MANIFEST, verdict, verify_bundle, write_bundle
 from econgs_bench.bench.metrics.image import Pair, psnr, ssim
-from econgs_bench.bench.store import Store
-from econgs_bench.bench.verification import LEAST_ITERATION_SECONDS, least_ssim
+from econgs_bench.bench.results.bundle import MANIFEST, verdict, verify_bundle, write_bundle
+from econgs_bench.bench.results.verification import LEAST_ITERATION_SECONDS, least_ssim
+from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.seals import sealed, unsealed
 
 HONEST = Path(__file__).resolve().parents[2] / "reports" / "measured" / "gpu-probe.zip"

@@ -6,7 +6,9 @@ from dataclasses import dataclass, replace
 
 import pytest
 
-from econgs_bench.bench.records import (
+from econgs_bench.bench.results.tables import build_tables, stored_tables
+from econgs_bench.bench.results.versions import changes
+from econgs_bench.bench.store.records import (
     CurvePoint,
     EncodeResult,
     FitResult,
@@ -15,11 +17,9 @@ from econgs_bench.bench.records import (
     Provenance,
     Record,
     Request,
-    hash_of,
 )
-from econgs_bench.bench.store import Store
-from econgs_bench.bench.tables import build_tables, stored_tables
-from econgs_bench.bench.versions import changes
+from econgs_bench.bench.store.store import Store
+from econgs_bench.datasets.content import hash_of
 from econgs_bench.methods.interface import MethodSpec, option
 from econgs_bench.reports.comparability import notes
 from econgs_bench.reports.style import label

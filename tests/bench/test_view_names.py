@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from econgs_bench.bench.comparison import compared
 from econgs_bench.bench.gate.cells import cells_of
-from econgs_bench.bench.store import Store
-from econgs_bench.bench.tables import build_tables
+from econgs_bench.bench.results.comparison import compared
+from econgs_bench.bench.results.tables import build_tables
+from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.seals import sealed, unsealed
 from econgs_bench.reports.pictures.strips import views_of_jobs

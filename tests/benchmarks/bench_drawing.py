@@ -11,7 +11,7 @@ from pathlib import Path
 
 from econgs_bench.bench.api import Runs
 from econgs_bench.bench.saved import load
-from econgs_bench.bench.store import Store
+from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.camera import Camera
 from econgs_bench.datasets.catalogue import open_dataset
 from econgs_bench.datasets.render_views import cameras_of

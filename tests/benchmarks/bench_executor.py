@@ -18,7 +18,7 @@ import tempfile
 from datetime import datetime
 from pathlib import Path
 
-from econgs_bench.bench.store import Store
+from econgs_bench.bench.store.store import Store
 
 ROOT = Path(__file__).resolve().parents[2]
 SUITE = """title = "t"

@@ -22,8 +22,8 @@ import torch
 from scipy.ndimage import gaussian_filter
 from turns import Time, heading, interleaved, row
 
-from econgs_bench.bench.provenance import cpu
-from econgs_bench.bench.timing import available_cores
+from econgs_bench.bench.machine.provenance import cpu
+from econgs_bench.bench.machine.timing import available_cores
 from econgs_bench.datasets.camera import Camera
 from econgs_bench.datasets.ground_truth import probe
 from econgs_bench.datasets.ground_truth.model import Draw, Layer, MarchSettings

@@ -34,7 +34,7 @@ from typing import Any
 import numpy as np
 from turns import heading, row
 
-from econgs_bench.bench.provenance import cpu
+from econgs_bench.bench.machine.provenance import cpu
 
 Part = dict[str, float]
 Parts = dict[str, Part]

@@ -21,7 +21,7 @@ from torch import Tensor
 from torch.nn import functional
 from turns import Time, heading, interleaved, row
 
-from econgs_bench.bench.provenance import cpu
+from econgs_bench.bench.machine.provenance import cpu
 from econgs_bench.datasets.camera import Camera
 from econgs_bench.econgs.losses import photometric_loss, torch_ssim
 from econgs_bench.econgs.optim import Adam

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from econgs_bench.bench.inputs import fingerprint
 from econgs_bench.datasets.camera_paths import test_cameras as path_cameras
 from econgs_bench.datasets.catalogue import open_dataset
+from econgs_bench.datasets.content import fingerprint
 from econgs_bench.datasets.render_views import cameras_of, views_of
 from econgs_bench.datasets.view_cache import ViewCache
 from econgs_bench.datasets.views import ViewRequest

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from econgs_bench.bench.inputs import absolute, fingerprint, request
-from econgs_bench.bench.suites import VIEWS
+from econgs_bench.bench.plan.inputs import absolute, request
+from econgs_bench.bench.suites.suite import VIEWS
 from econgs_bench.datasets.catalogue.opening import open_dataset
 from econgs_bench.datasets.cloud import initial_cloud, random_cloud
+from econgs_bench.datasets.content import fingerprint
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.posed_images import read_frames
 from tests.datasets.views_folder import random_views, write_ply

@@ -10,7 +10,7 @@ import pytest
 import vtk
 from vtk.util.numpy_support import vtk_to_numpy
 
-from econgs_bench.bench.inputs import absolute
+from econgs_bench.bench.plan.inputs import absolute
 from econgs_bench.datasets.catalogue import open_dataset
 from econgs_bench.datasets.cloud import initial_cloud
 from econgs_bench.datasets.readers import list_variables, read_volume

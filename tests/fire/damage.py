@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from econgs_bench.bench.bundle import unpacked, write_bundle
-from econgs_bench.bench.checkpoints import read_checkpoint
+from econgs_bench.bench.jobs.checkpoints import read_checkpoint
 from econgs_bench.bench.jobs.truth import Truth
-from econgs_bench.bench.store import Store
-from econgs_bench.bench.tables import stored_tables
+from econgs_bench.bench.results.bundle import unpacked, write_bundle
+from econgs_bench.bench.results.tables import stored_tables
+from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.view_cache import ViewCache
 from tests.bench.conftest import Bench, suite_file, wait_for, write_dataset

@@ -19,7 +19,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from econgs_bench.bench.store import Store
+from econgs_bench.bench.store.store import Store
 from tests.bench.conftest import Bench, suite_file, write_dataset
 from tests.fire.attack import Tally, bench_in, contents, difference, leftovers, work_folder
 

@@ -17,7 +17,7 @@ import sys
 import time
 from pathlib import Path
 
-from econgs_bench.bench.store import Store, read_record
+from econgs_bench.bench.store.store import Store, read_record
 from tests.bench.conftest import PATIENCE, Bench, runs, workers
 from tests.fire.attack import REAL, Tally, bench_in, contents, difference, leftovers, work_folder
 

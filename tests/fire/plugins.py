@@ -15,7 +15,7 @@ from pathlib import Path
 
 import psutil
 
-from econgs_bench.bench.store import Store
+from econgs_bench.bench.store.store import Store
 from tests.bench.conftest import PLUGINS, PRESET, Bench, suite_file, write_dataset
 from tests.fire.attack import Tally, bench_in, leftovers, work_folder
 

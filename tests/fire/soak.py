@@ -19,7 +19,7 @@ from pathlib import Path
 import psutil
 
 import econgs_bench as bench
-from econgs_bench.bench.store import Store
+from econgs_bench.bench.store.store import Store
 from tests.bench.conftest import PLUGINS, write_dataset
 from tests.fire.attack import REAL, Tally, work_folder
 

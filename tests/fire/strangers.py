@@ -28,8 +28,8 @@ from typing import Any
 
 import numpy as np
 
-from econgs_bench.bench.bundle import MANIFEST, write_bundle
-from econgs_bench.bench.store import Store
+from econgs_bench.bench.results.bundle import MANIFEST, write_bundle
+from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.memory import peak_host_bytes
 from econgs_bench.datasets.seals import sealed, unsealed
 from tests.bench.conftest import Bench, write_dataset

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from econgs_bench.bench.store import Store
+from econgs_bench.bench.store.store import Store
 from tests.bench.conftest import suite_file, write_dataset
 from tests.fire import damage, disks, kills, mutations, plugins, soak, strangers, together
 from tests.fire.attack import Tally, bench_in, contents, difference, leftovers, work_folder

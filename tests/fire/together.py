@@ -9,7 +9,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from econgs_bench.bench.store import Store
+from econgs_bench.bench.store.store import Store
 from tests.bench.conftest import PATIENCE, Bench, attempts, suite_file, write_dataset
 from tests.fire.attack import REAL, Tally, bench_in, contents, difference, leftovers, work_folder
 

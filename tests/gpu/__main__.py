@@ -29,7 +29,7 @@ from typing import Any
 
 import torch
 
-from econgs_bench.bench.provenance import provenance
+from econgs_bench.bench.machine.provenance import provenance
 from econgs_bench.econgs.anchors.decode import decode
 from econgs_bench.econgs.anchors.decoders import Decoders
 from econgs_bench.econgs.splat import trusted_values

@@ -333,8 +333,8 @@ def test_folded_embeddings_make_the_same_pictures_in_fewer_bytes(tiny, scene):
 @pytest.mark.slow
 def test_an_edited_palette_looks_like_the_edited_scene(tiny):
     """Against the renderer: the picture that was never trained is nearly as good as those that were."""
-    from econgs_bench.bench.edits import edit_of
     from econgs_bench.bench.jobs.scenes import camera_extent
+    from econgs_bench.bench.suites.edits import edit_of
     from econgs_bench.datasets.catalogue import open_dataset
     from econgs_bench.datasets.cloud import initial_cloud
     from econgs_bench.datasets.render_views import views_of

@@ -28,9 +28,9 @@ from econgs_bench.bench.gate.cells import VIEW_METRIC, Cell, Key, cells_of
 from econgs_bench.bench.gate.power import power
 from econgs_bench.bench.gate.quantities import QUANTITIES
 from econgs_bench.bench.gate.verdict import Finding, Verdict, compare
-from econgs_bench.bench.store import Store
-from econgs_bench.bench.suites import load_suite
-from econgs_bench.bench.tables import build_tables
+from econgs_bench.bench.results.tables import build_tables
+from econgs_bench.bench.store.store import Store
+from econgs_bench.bench.suites.suite import load_suite
 from econgs_bench.methods.registry import Registry
 
 VALUES = Path(__file__).with_name("repetitions.csv")

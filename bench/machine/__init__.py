@@ -1,0 +1,1 @@
+"""This machine: its load, cores, clocks, locks and provenance."""

@@ -1,0 +1,1 @@
+"""Runs a plan: executors, workers, limits, display."""

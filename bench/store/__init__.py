@@ -1,0 +1,1 @@
+"""The run store: folders of jobs, records, leases, progress."""

@@ -1,0 +1,1 @@
+"""Suites and what they ask for: edits, stress, ladders."""

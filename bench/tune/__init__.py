@@ -1,0 +1,1 @@
+"""Searches for options (``bench tune``)."""
