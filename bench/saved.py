@@ -27,6 +27,7 @@ def load(
         DataError: there is no such job, or its method refuses to compose its groups or the device.
     """
     from econgs_bench.bench.jobs.measure import load_models
+    from econgs_bench.bench.jobs.method import MethodJob
     from econgs_bench.bench.jobs.supersampling import drawn_as
     from econgs_bench.bench.machine.device import prepare_device
     from econgs_bench.methods.interface import Refused
@@ -35,13 +36,14 @@ def load(
     record = store.record(job_id)
     needs = record.job.needs if record is not None and record.job.kind == "measure" else (job_id,)
     encodes = [store.record(need) for need in needs if need.startswith("encode-")]
-    if record is None or not encodes or not all(encode is not None and encode.ok for encode in encodes):
+    whole = bool(encodes) and all(encode is not None and encode.ok for encode in encodes)
+    if record is None or not whole or not isinstance(record.job, MethodJob):
         raise DataError(
             job_id,
             f"is no finished encode or measure job of {store.root}",
             "`bench results` names the jobs in its column `job`",
         )
-    registry, name = Registry(plugins), str(record.job.method)
+    registry, name = Registry(plugins), record.job.method
     if name not in registry.names() and name not in registry.broken:
         reason = f"is a model of the method {name}, which is not there"
         raise DataError(job_id, reason, "Give the folder of its plugin (--plugins DIR)")

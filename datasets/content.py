@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -13,16 +12,11 @@ from typing import Any
 import numpy as np
 
 from econgs_bench.datasets.ground_truth.model import MODEL_VERSION
+from econgs_bench.datasets.hashes import hash_of
 from econgs_bench.datasets.render_views import volume_digest
 from econgs_bench.datasets.scene import Dataset
 
 _IMAGES = {".png", ".json", ".ply"}
-
-
-def hash_of(identity: Any) -> str:
-    """First 16 hex digits of SHA-256 over canonical JSON."""
-    text = json.dumps(identity, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def fingerprint(dataset: Dataset, scene_name: str) -> str:

@@ -97,6 +97,6 @@ def gate(options: Namespace) -> int:
 def _versions(store: Store) -> dict[str, str]:
     """Software of the store's jobs that decides results."""
     for record in store.records():
-        if record.provenance is not None and record.fit is not None:
+        if record.provenance is not None and record.ok and record.job.kind == "fit":
             return dict(sorted(record.provenance.versions.items()))
     return {}

@@ -38,6 +38,7 @@ def render(options: Namespace) -> int:
 
 
 def _render(options: Namespace, dataset_name: str) -> None:
+    from econgs_bench.bench.jobs.scene_views import view_request
     from econgs_bench.bench.metrics import evaluate
     from econgs_bench.bench.plan import inputs
     from econgs_bench.bench.store.records import Request
@@ -73,7 +74,7 @@ def _render(options: Namespace, dataset_name: str) -> None:
             views = Request(train_views=12, test_views=count, width=width, height=height, samples=rays)
         else:
             views = inputs.request(dataset, scenes[0], ViewPreset(12, count, 256, 256, sys.maxsize), samples)
-        request = inputs.view_request(views, "test")
+        request = view_request(views, "test")
         folder = Path(options.out) / dataset.name / name
         folder.mkdir(parents=True, exist_ok=True)
         doing = f"drawing {dataset.name}/{name}"

@@ -77,7 +77,8 @@ def draw_sheet(
 
 
 def _tile(dataset: Dataset, name: str, count: int, size: tuple[int, int], notes: Mapping[str, str]) -> Tile:
-    from econgs_bench.bench.plan.inputs import request, views
+    from econgs_bench.bench.jobs.scene_views import views
+    from econgs_bench.bench.plan.inputs import request
     from econgs_bench.bench.suites.suite import ViewPreset
     from econgs_bench.reports.pictures.contact_sheet import Tile
 
@@ -99,7 +100,7 @@ def _tile(dataset: Dataset, name: str, count: int, size: tuple[int, int], notes:
 
 def _curves(dataset: Dataset, scene: BasicScene):  # type: ignore[no-untyped-def]
     """Histogram, transfer function and levels of a basic scene."""
-    from econgs_bench.bench.plan.inputs import transfer_table
+    from econgs_bench.bench.jobs.scene_views import transfer_table
     from econgs_bench.datasets.auto_transfer import statistics
 
     histogram = statistics(dataset.volume(scene.variable)).count

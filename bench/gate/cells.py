@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from econgs_bench.bench.gate.identity import Identity
 from econgs_bench.bench.gate.quantities import QUANTITIES
+from econgs_bench.bench.jobs.method import MethodJob
 from econgs_bench.bench.store.store import Store
 from econgs_bench.reports.clocks import CLOCKS, Clocks
 from econgs_bench.reports.style import absent, label
@@ -130,6 +131,7 @@ def _plain(value: Any) -> Any:
 def _options(store: Store, job: str) -> Options:
     record = store.record(job)
     assert record is not None
+    assert isinstance(record.job, MethodJob)
     iterations = {"iterations": record.job.iterations} if record.job.iterations else {}
     return {**record.job.options, **iterations}
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import lzma
-from typing import Any
+from collections.abc import Iterable, Mapping
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from econgs_bench.bench.jobs.context import Context
-from econgs_bench.bench.store.records import ComplexityResult
+from econgs_bench.bench.jobs.scene import SceneJob
+from econgs_bench.bench.store.lineage import Lineage
+from econgs_bench.bench.store.records import Count, Record, Result, Row
 from econgs_bench.datasets.catalogue import open_dataset
 from econgs_bench.datasets.transfer import TransferFunction
 from econgs_bench.datasets.volume import Volume
@@ -21,19 +24,45 @@ _FILTERS: list[dict[str, Any]] = [
 ]
 
 
-def run(context: Context) -> ComplexityResult:
-    """Code the volume as the transfer function shows it; isosurfaces classify none."""
-    job = context.job
-    dataset = open_dataset(job.dataset)
-    context.report(stage="loading")
-    scene = dataset.scene(job.subject)
-    volume = dataset.volume(scene.variable)
-    context.report(stage="coding")
-    return ComplexityResult(
-        voxels=int(volume.values.size),
-        lossless_bytes=None if scene.transfer is None else coded_bytes(volume, scene.transfer),
-        coder=CODER,
-    )
+class ComplexityResult(Result):
+    """The volume of a scene as its transfer function shows it: 8-bit RGBA, coded without loss.
+
+    Attributes:
+        lossless_bytes: None for scenes of isosurfaces, which classify no volume.
+        coder: what coded it.
+    """
+
+    voxels: Count
+    lossless_bytes: Count | None
+    coder: str
+
+
+class Complexity(SceneJob):
+    """Codes the volume of a scene as its transfer function shows it."""
+
+    kind: Literal["complexity"] = "complexity"
+    result_type = ComplexityResult
+
+    @property
+    def shown(self) -> Any:
+        return self.identity.get("scene")
+
+    def run(self, context: Context) -> ComplexityResult:
+        """Code the volume as the transfer function shows it; isosurfaces classify none."""
+        dataset = open_dataset(self.dataset)
+        context.report(stage="loading")
+        scene = dataset.scene(self.subject)
+        volume = dataset.volume(scene.variable)
+        context.report(stage="coding")
+        return ComplexityResult(
+            voxels=int(volume.values.size),
+            lossless_bytes=None if scene.transfer is None else coded_bytes(volume, scene.transfer),
+            coder=CODER,
+        )
+
+    def rows(self, record: Record, lineage: Lineage) -> Mapping[str, Iterable[Row]]:
+        result = record.of(ComplexityResult)
+        return {"complexity": [] if result is None else [result.model_dump()]}
 
 
 def coded_bytes(volume: Volume, transfer: TransferFunction) -> int:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from econgs_bench.bench.jobs.method import MethodJob
 from econgs_bench.bench.jobs.monitor import Progress, Stop
 from econgs_bench.bench.jobs.truth import Truth
 from econgs_bench.bench.store.records import Job, Record
@@ -45,11 +46,10 @@ class Context:
             sys.modules["torch"].set_num_threads(self.threads)
         return method
 
-    @property
-    def options(self) -> Any:
+    def options(self, job: MethodJob) -> Any:
         """The method's options, typed."""
         assert self.spec is not None
-        return self.spec.options(**self.job.options)
+        return self.spec.options(**job.options)
 
     def input(self, kind: str) -> Record:
         """The finished job of a kind that this one builds on."""

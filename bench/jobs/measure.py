@@ -1,17 +1,25 @@
-"""The measure job: loads a saved model in a fresh process, renders and times it, and computes the metrics."""
+"""The measure job: its fields, identity, result, run and rows."""
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
+from pydantic import Field
 
 from econgs_bench.bench.jobs import answers
 from econgs_bench.bench.jobs.context import Context
+from econgs_bench.bench.jobs.costs import costs, fit_row, memory
+from econgs_bench.bench.jobs.encode import Encode
+from econgs_bench.bench.jobs.method import MethodJob
 from econgs_bench.bench.jobs.supersampling import drawn_as
+from econgs_bench.bench.jobs.truth import renderer_of, sketch
+from econgs_bench.bench.jobs.views import Views, ViewsResult
 from econgs_bench.bench.machine.timing import (
     MEASURE_SECONDS,
     RULERS,
@@ -20,130 +28,324 @@ from econgs_bench.bench.machine.timing import (
     synchronise,
     time_frames,
 )
-from econgs_bench.bench.results.identity import renderer_of, sketch
-from econgs_bench.bench.store.records import FrameTimes, MeasureResult, PruningResult, ViewResult
+from econgs_bench.bench.store.lineage import Lineage
+from econgs_bench.bench.store.records import (
+    SAMPLED,
+    Count,
+    FrameTimes,
+    Metrics,
+    PruningResult,
+    Record,
+    Row,
+    ViewResult,
+)
 from econgs_bench.bench.suites.edits import edit_of, edits_of
 from econgs_bench.bench.suites.stress import stress_of
+from econgs_bench.datasets.hashes import hash_of
 from econgs_bench.datasets.memory import peak_host_bytes
 from econgs_bench.datasets.units import camera_in_units
 from econgs_bench.datasets.views import evenly_spaced
 from econgs_bench.methods.interface import HasAttributes, HasDecoders, HasGaussians, Method, Model, Refused
-from econgs_bench.reports.schema import COVERAGE
+from econgs_bench.methods.options import SAMPLES, Settings
+from econgs_bench.reports.schema import COVERAGE, METRICS
 
 DECODING_SECONDS = 0.5
 """Time for which frames with decoding are timed, of a model that is decoded once."""
+_PARTS_2 = "2026-11-28T09:25:51"
+"""When the parts of a frame got their second ruler (:data:`.bench.machine.timing.RULERS`), UTC."""
 COUNTED = 8
 """Most views in which the drawn Gaussians are counted."""
 
 if TYPE_CHECKING:
     from econgs_bench.datasets.camera import Camera
+    from econgs_bench.datasets.edits import Edit
     from econgs_bench.datasets.scene import RGB
     from econgs_bench.datasets.views import ViewSet
 
 
-def run(context: Context) -> MeasureResult:
-    """Load, time and render a scene (or a composition's scenes together), then compare with the ground truth.
+class MeasureResult(FrameTimes):
+    """Measurements of the loaded model, by a process of their own.
 
-    Memory is read before the ground truth and the metrics come into the process.
-
-    Raises:
-        Refused: the scenes are in several models and the method cannot render those together, or it cannot
-            make the edit.
+    Attributes:
+        missing: metric -> why it could not be computed.
+        flicker: see :class:`.bench.metrics.flicker.Flicker`; None where views are not neighbouring frames.
+        features: attribute -> rows of some primitives; empty if the method does not expose attributes.
+        pruning: None where the job does not ask for it, or the model tells no Gaussians apart.
+        drawn: Gaussians that are splatted in a test view, mean over a few; None of a model without Gaussians.
+        renderer: what rendered the truth; "" in older records.
+        sketch: of the truth's pictures (:func:`.bench.jobs.truth.sketch`); "" in older records.
+        decoding: when the model's networks make what is drawn: "once", as it is loaded, or "per frame"; ""
+            without such networks; None in older records.
+        frame_seconds_decoding: median over frames in which a model that is decoded once is decoded again.
+        parts_ruler: version of how the parts of a frame are timed (:data:`.bench.machine.timing.RULERS`).
     """
-    job, scenes = context.job, list(context.job.rendered)
-    encodes = context.inputs("encode")
-    if context.spec is not None and len(encodes) > 1 and not context.spec.composable:
-        raise Refused(f"{job.method} cannot render models of several groups together ({job.group})")
-    views_job = context.input("views")
-    assert views_job.views is not None
-    truth = context.truth(job.subject)
-    units = stress_of(job.stress).get("units", 1.0)
-    cameras = [camera_in_units(camera, units) for camera in truth.cameras(job.split)]
-    edit = edits_of(job.scenes, job.edit)
-    if job.recipe:
-        edit = {}
-        for scene, text in job.recipe.items():
-            edit |= edit_of(scene, text)
-    background = views_job.views.background
-    method = context.method()
 
-    context.report(stage="load")
-    start = time.perf_counter()
-    model = load_models(method, [context.path_of(encode) / "model" for encode in encodes], job.device)
-    synchronise(job.device)
-    load_seconds = time.perf_counter() - start
-    if absent := [scene for scene in scenes if scene not in model.scenes]:
-        raise RuntimeError(f"the loaded model holds {list(model.scenes)}, not {', '.join(absent)}")
+    long: ClassVar[Mapping[str, str]] = {"features": "features"}
 
-    context.report(stage="timing")
+    load_seconds: float
+    timing: dict[str, float]
+    primitives: Count
+    metrics: Metrics
+    missing: dict[str, str]
+    views: list[ViewResult]
+    flicker: float | None = None
+    features: dict[str, list[list[float]]] = Field(default_factory=dict)
+    pruning: PruningResult | None = None
+    drawn: float | None = None
+    renderer: str = ""
+    sketch: str = ""
+    decoding: Literal["", "once", "per frame"] | None = None
+    frame_seconds_decoding: float | None = None
+    parts_ruler: Count | None = None
 
-    def timed(model: Model, seconds: float = MEASURE_SECONDS) -> FrameTimes:
-        drawing = drawn_as(job, model)
-        return time_frames(
-            lambda camera: drawing.render(camera, scenes=scenes, edit=edit, background=background),
-            cameras,
-            job.device,
-            seconds,
+    def parts(self) -> Mapping[str, float]:
+        return {"load_seconds": self.load_seconds}
+
+
+class Measure(MethodJob):
+    """Loads a saved model in a fresh process, renders and times it, and computes the metrics.
+
+    Attributes:
+        recipe: scenes whose models are rendered together for a basic scene, and the edit of each, where a
+            method cannot make the edit; empty: it makes the edit.
+        metrics: metric -> version.
+        sampled: number of primitives per scene whose attributes the record keeps.
+        prunable: whether to find out what the model could do without.
+    """
+
+    kind: Literal["measure"] = "measure"
+    rate: float | None = None
+    recipe: dict[str, str] = Field(default_factory=dict)
+    metrics: dict[str, str] = Field(default_factory=dict)
+    sampled: Count = SAMPLED
+    prunable: bool = False
+    result_type = MeasureResult
+
+    @classmethod
+    def of(
+        cls,
+        encodes: Sequence[Encode],
+        views: Views,
+        scenes: tuple[str, ...],
+        *,
+        metrics: Mapping[str, str],
+        sampled: int,
+        parsimony: bool,
+        composition: str = "",
+        edit: str = "",
+        stress: str = "",
+        recipe: Mapping[str, str] = MappingProxyType({}),
+    ) -> Self:
+        """The measurement of a basic scene, edited or not, or of the scenes of a composition together.
+
+        Args:
+            encodes: the models that are rendered.
+            views: the truth.
+            scenes: basic scenes.
+            metrics: name -> version.
+            sampled: primitives whose attributes are kept.
+            parsimony: whether usual models are asked what they could do without.
+            composition: name of the composition, "" for a basic scene.
+            edit: of the scene or of those of the composition.
+            stress: that decides the truth or the fit.
+            recipe: the models that stand for an edited scene, and their edits.
+        """
+        first, models = encodes[0], [encode.key for encode in encodes]
+        identity: dict[str, Any] = {
+            "views": views.key, "split": views.split, "metrics": dict(metrics), "rulers": RULERS,
+        }  # fmt: skip
+        if composition:
+            identity |= {"encodes": models, "scenes": list(scenes)}
+        else:
+            identity |= {"encode": first.key, "scene": scenes[0]}
+        if edit:
+            identity["edit"] = edit
+        if recipe:
+            identity |= {"encodes": models, "recipe": dict(recipe)}
+        if sampled != SAMPLED:
+            identity["sampled"] = sampled
+        usual = first.rate is None and not (first.knob or composition or edit or stress)
+        if prunable := parsimony and usual:
+            identity["prunable"] = True
+        return cls.after(
+            first,
+            identity,
+            needs=(views.id, *(encode.id for encode in encodes)),
+            scenes=scenes,
+            composition=composition,
+            edit=edit,
+            stress=stress,
+            group=",".join(encode.group for encode in encodes),
+            rate=first.rate,
+            recipe=dict(recipe),
+            metrics=dict(metrics),
+            sampled=sampled,
+            prunable=prunable,
         )
 
-    frames, drawing = timed(model), drawn_as(job, model)
-    parts = median_timings(lambda camera: answers.timings(drawing.timings(camera, scenes=scenes)), cameras)
-    context.peak_host_bytes, context.peak_device_bytes = peak_host_bytes(), peak_device_bytes(job.device)
-    decoding, decoded_seconds = _decoding(
-        model, scenes, lambda each_frame: timed(each_frame, DECODING_SECONDS).frame_seconds
-    )
+    def drawn(self, settings: Settings) -> Self:
+        """This measurement by the settings that decide drawing alone."""
+        if settings.samples == 1:
+            return self
+        identity = {**self.identity, SAMPLES: settings.samples}
+        update = {"identity": identity, "key": hash_of(identity)}
+        return self.model_copy(update=update | {"variant": settings.variant, "overrides": settings.overrides})
 
-    context.report(stage="metrics")
-    from econgs_bench.bench.metrics import evaluate, mean
-    from econgs_bench.bench.metrics.flicker import Flicker, is_dense
-    from econgs_bench.bench.metrics.image import to_8bit
-    from econgs_bench.datasets.png import write_png
+    @property
+    def rendered(self) -> tuple[str, ...]:
+        """The scenes whose models are rendered together."""
+        return tuple(self.recipe) or self.scenes
 
-    views = truth.views(job.split)
-    out = context.folder / "renders"
-    out.mkdir(exist_ok=True)
-    rows: list[ViewResult] = []
-    missing: dict[str, str] = {}
-    metrics = list(dict.fromkeys([*job.metrics, *COVERAGE]))
-    flicker = Flicker() if is_dense(cameras) else None
-    for index, camera in enumerate(cameras):
-        answer = drawing.render(camera, scenes=scenes, edit=edit, background=background)
-        rgb, alpha = answers.picture(answer, camera)
-        values, reasons = evaluate(views.images[index], rgb, alpha, background, metrics)
-        missing.update(reasons)
-        shown, displayed = to_8bit(views.composited(index)), to_8bit(rgb)
-        if flicker is not None:
-            flicker.add(shown, displayed)
-        file = f"{index:04d}.png"
-        write_png(out / file, premultiplied(rgb, alpha, background))
-        rows.append(
-            ViewResult(
-                view=camera.name or f"{index:04d}",
-                metrics=values,
-                identical=bool(np.array_equal(displayed, shown)),
-                truth_file=f"jobs/{views_job.job.id}/truth/{views_job.views.truth[job.split][index]}",
-                render_file=f"jobs/{job.id}/renders/{file}",
+    @property
+    def edits(self) -> dict[str, Edit]:
+        """Rendered scene -> its change."""
+        if not self.recipe:
+            return edits_of(self.scenes, self.edit)
+        return {one: edit for name, text in self.recipe.items() for one, edit in edit_of(name, text).items()}
+
+    @property
+    def _about(self) -> str:
+        return self.composition or "+".join(self.scenes)
+
+    @property
+    def _rate(self) -> list[str]:
+        return [] if self.rate is None else [f"rate {self.rate:g}"]
+
+    @property
+    def shown(self) -> Any:
+        return self.identity.get("views")
+
+    @property
+    def cell(self) -> tuple[Any, ...]:
+        return *super().cell, self.rate
+
+    def axes(self) -> dict[str, Any]:
+        return super().axes() | {"rate": self.rate}
+
+    def run(self, context: Context) -> MeasureResult:
+        """Load, time and render a scene (or a composition's scenes together), then compare with the truth.
+
+        Memory is read before the ground truth and the metrics come into the process.
+
+        Raises:
+            Refused: the scenes are in several models and the method cannot render those together, or it
+                cannot make the edit.
+        """
+        scenes = list(self.rendered)
+        encodes = context.inputs("encode")
+        if context.spec is not None and len(encodes) > 1 and not context.spec.composable:
+            raise Refused(f"{self.method} cannot render models of several groups together ({self.group})")
+        views_job = context.input("views")
+        source = views_job.of(ViewsResult)
+        assert source is not None
+        truth = context.truth(self.subject)
+        units = stress_of(self.stress).get("units", 1.0)
+        cameras = [camera_in_units(camera, units) for camera in truth.cameras(self.split)]
+        edit, background = self.edits, source.background
+        method = context.method()
+
+        context.report(stage="load")
+        start = time.perf_counter()
+        model = load_models(method, [context.path_of(encode) / "model" for encode in encodes], self.device)
+        synchronise(self.device)
+        load_seconds = time.perf_counter() - start
+        if absent := [scene for scene in scenes if scene not in model.scenes]:
+            raise RuntimeError(f"the loaded model holds {list(model.scenes)}, not {', '.join(absent)}")
+
+        context.report(stage="timing")
+
+        def timed(model: Model, seconds: float = MEASURE_SECONDS) -> FrameTimes:
+            drawing = drawn_as(self, model)
+            return time_frames(
+                lambda camera: drawing.render(camera, scenes=scenes, edit=edit, background=background),
+                cameras,
+                self.device,
+                seconds,
             )
+
+        frames, drawing = timed(model), drawn_as(self, model)
+        parts = median_timings(
+            lambda camera: answers.timings(drawing.timings(camera, scenes=scenes)), cameras
         )
-        context.report(stage="metrics", iteration=index + 1, iterations=len(cameras))
-    return MeasureResult(
-        load_seconds=load_seconds,
-        **frames.model_dump(),
-        timing={"frame": frames.frame_seconds, **parts},
-        decoding=decoding,
-        frame_seconds_decoding=decoded_seconds,
-        parts_ruler=RULERS["parts"],
-        primitives=sum(answers.primitives(model.primitives(scene)) for scene in scenes),
-        metrics={name: mean([row.metrics[name] for row in rows]) for name in metrics},
-        missing=missing,
-        views=rows,
-        flicker=None if flicker is None else flicker.mean,
-        features=_attributes(model, scenes, job.sampled),
-        pruning=_pruning(context, model, cameras, views) if job.prunable else None,
-        drawn=None if job.edit else mean_drawn(model, scenes, cameras),
-        renderer=renderer_of(views_job.views.cost.get(job.split)),
-        sketch=sketch(views),
-    )
+        context.peak_host_bytes, context.peak_device_bytes = peak_host_bytes(), peak_device_bytes(self.device)
+        decoding, decoded_seconds = _decoding(
+            model, scenes, lambda each_frame: timed(each_frame, DECODING_SECONDS).frame_seconds
+        )
+
+        context.report(stage="metrics")
+        from econgs_bench.bench.metrics import evaluate, mean
+        from econgs_bench.bench.metrics.flicker import Flicker, is_dense
+        from econgs_bench.bench.metrics.image import to_8bit
+        from econgs_bench.datasets.png import write_png
+
+        views = truth.views(self.split)
+        out = context.folder / "renders"
+        out.mkdir(exist_ok=True)
+        rows: list[ViewResult] = []
+        missing: dict[str, str] = {}
+        metrics = list(dict.fromkeys([*self.metrics, *COVERAGE]))
+        flicker = Flicker() if is_dense(cameras) else None
+        for index, camera in enumerate(cameras):
+            answer = drawing.render(camera, scenes=scenes, edit=edit, background=background)
+            rgb, alpha = answers.picture(answer, camera)
+            values, reasons = evaluate(views.images[index], rgb, alpha, background, metrics)
+            missing.update(reasons)
+            shown, displayed = to_8bit(views.composited(index)), to_8bit(rgb)
+            if flicker is not None:
+                flicker.add(shown, displayed)
+            file = f"{index:04d}.png"
+            write_png(out / file, premultiplied(rgb, alpha, background))
+            rows.append(
+                ViewResult(
+                    view=camera.name or f"{index:04d}",
+                    metrics=values,
+                    identical=bool(np.array_equal(displayed, shown)),
+                    truth_file=f"jobs/{views_job.job.id}/truth/{source.truth[self.split][index]}",
+                    render_file=f"jobs/{self.id}/renders/{file}",
+                )
+            )
+            context.report(stage="metrics", iteration=index + 1, iterations=len(cameras))
+        return MeasureResult(
+            load_seconds=load_seconds,
+            **frames.model_dump(),
+            timing={"frame": frames.frame_seconds, **parts},
+            decoding=decoding,
+            frame_seconds_decoding=decoded_seconds,
+            parts_ruler=RULERS["parts"],
+            primitives=sum(answers.primitives(model.primitives(scene)) for scene in scenes),
+            metrics={name: mean([row.metrics[name] for row in rows]) for name in metrics},
+            missing=missing,
+            views=rows,
+            flicker=None if flicker is None else flicker.mean,
+            features=_attributes(model, scenes, self.sampled),
+            pruning=_pruning(self, context, model, cameras, views) if self.prunable else None,
+            drawn=None if self.edit else mean_drawn(model, scenes, cameras),
+            renderer=renderer_of(source.cost.get(self.split)),
+            sketch=sketch(views),
+        )
+
+    def rows(self, record: Record, lineage: Lineage) -> Mapping[str, Iterable[Row]]:
+        tables: dict[str, Iterable[Row]] = {"results": [_row(self, record, lineage)]}
+        if (result := record.of(MeasureResult)) is not None:
+            tables["views"] = _view_rows(result, _truth(record, lineage))
+            if not self.edit:  # an edited scene is of the same model
+                timing = result.timing.items()
+                tables["timing"] = [{"part": part, "seconds": seconds} for part, seconds in timing]
+                tables["features"] = _feature_rows(result)
+        return tables
+
+    def migrated(self, record: Record) -> Record:
+        """Frames that were timed before records had a ruler had the first one, parts of a frame the first or
+        second one, by the time of the job's end.
+        """
+        record = super().migrated(record)
+        result = record.of(MeasureResult)
+        if result is None or result.ruler is not None:
+            return record
+        parts = 1 if record.finished < _PARTS_2 else 2
+        return record.model_copy(
+            update={"result": result.model_copy(update={"ruler": 1, "parts_ruler": parts})}
+        )
 
 
 def _decoding(
@@ -157,7 +359,7 @@ def _decoding(
 
 
 def _pruning(
-    context: Context, model: Model, cameras: Sequence[Camera], views: ViewSet
+    job: Measure, context: Context, model: Model, cameras: Sequence[Camera], views: ViewSet
 ) -> PruningResult | None:
     """What the model of a basic scene could do without; None where it tells no Gaussians apart."""
     if not isinstance(model, HasGaussians):
@@ -165,8 +367,8 @@ def _pruning(
     from econgs_bench.bench.jobs.pruning import pruning
 
     context.report(stage="pruning")
-    scene = context.job.subject
-    training = context.truth(scene).cameras("train" if context.job.split == "val" else "trainval")
+    scene = job.subject
+    training = context.truth(scene).cameras("train" if job.split == "val" else "trainval")
     return pruning(model, scene, training, cameras, views)
 
 
@@ -210,3 +412,83 @@ def premultiplied(rgb: np.ndarray, alpha: np.ndarray, background: RGB) -> np.nda
     back = np.asarray(background, dtype=np.float32)
     free = np.clip(rgb - (1.0 - alpha[..., None]) * back, 0.0, 1.0)
     return np.concatenate([free, alpha[..., None]], axis=-1).astype(np.float32)
+
+
+def _row(job: Measure, record: Record, lineage: Lineage) -> Row:
+    """The row of a basic scene (with one model) or of a composition (with those that hold its scenes)."""
+    fits, truth = lineage.fits(record), _truth(record, lineage)
+    reached = truth.reached if truth is not None else {}
+    row = {
+        "status": record.status,
+        "reason": record.reason,
+        "stage": record.stage,
+        "recipe": json.dumps(job.recipe) if job.recipe else "",
+        "distance": truth.distance if truth is not None else None,
+        "floor": reached.get("truth", {}).get("psnr"),
+        "one_ray": reached.get("one ray", {}).get("psnr"),
+        **costs(job.rendered, lineage.models(record)),
+        **memory(record, fits),
+        **fit_row(job.rendered, fits),
+        "render_host_bytes": record.peak_host_bytes,
+        "render_device_bytes": record.peak_device_bytes,
+    }
+    result = record.of(MeasureResult)
+    return row if result is None else row | _measured(result)
+
+
+def _truth(record: Record, lineage: Lineage) -> ViewsResult | None:
+    found = (one.of(ViewsResult) for one in lineage.needed(record, "views"))
+    return next(filter(None, found), None)
+
+
+def _measured(measured: MeasureResult) -> Row:
+    row: Row = {name: measured.metrics.get(name) for name in (*METRICS, *COVERAGE)}
+    if measured.missing:
+        row["reason"] = "; ".join(f"{name}: {why}" for name, why in sorted(measured.missing.items()))
+        row["omissions"] = json.dumps(measured.missing, sort_keys=True)
+    return row | {
+        "primitives": measured.primitives,
+        "load_seconds": measured.load_seconds,
+        "fps": 1.0 / measured.frame_seconds,
+        "fps_p05": 1.0 / measured.frame_seconds_p95,
+        "fps_p95": 1.0 / measured.frame_seconds_p05,
+        "decoding": measured.decoding,
+        "fps_decoding": measured.frame_seconds_decoding and 1.0 / measured.frame_seconds_decoding,
+        "ruler": measured.ruler,
+        "parts_ruler": measured.parts_ruler,
+        "reference_seconds": measured.reference_seconds,
+        "reference_worst": measured.reference_worst,
+        "identical_views": sum(view.identical for view in measured.views),
+        "flicker": measured.flicker,
+        "drawn": measured.drawn,
+        **({"gaussians": measured.pruning.gaussians, **measured.pruning.shares} if measured.pruning else {}),
+    }
+
+
+def _view_rows(result: MeasureResult, truth: ViewsResult | None) -> Iterator[Row]:
+    background = None if truth is None else _hex(truth.background)
+    names = _distinct([view.view for view in result.views])
+    for name, view in zip(names, result.views, strict=True):
+        metrics = {metric: view.metrics.get(metric) for metric in (*METRICS, *COVERAGE)}
+        yield view.model_dump() | {"view": name} | metrics | {"background": background}
+
+
+def _distinct(names: list[str]) -> list[str]:
+    """Names that tell the views of a job apart, as every reader of the tables takes them to.
+
+    Records of version 0.2 and before have the same for pictures of the same file name in two folders.
+    """
+    if len(set(names)) == len(names):
+        return names
+    return [f"{name} ({names[:place].count(name) + 1})" for place, name in enumerate(names)]
+
+
+def _feature_rows(result: MeasureResult) -> Iterator[Row]:
+    for name, rows in result.features.items():
+        if rows:
+            values = [value for row in rows for value in row]
+            yield {"name": name, "values": values, "width": len(rows[0])}
+
+
+def _hex(color: tuple[float, float, float]) -> str:
+    return "#" + "".join(f"{round(255 * min(max(value, 0.0), 1.0)):02x}" for value in color)

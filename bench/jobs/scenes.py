@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from econgs_bench.bench.jobs.context import Context
+from econgs_bench.bench.jobs.method import MethodJob
 from econgs_bench.bench.store.records import derived_seed
 from econgs_bench.bench.suites.stress import stress_of
 from econgs_bench.datasets.camera import Camera
@@ -30,7 +31,7 @@ from econgs_bench.methods.interface import Refused, SceneInput
 from econgs_bench.methods.shared.units import in_units
 
 
-def scene_inputs(context: Context) -> list[SceneInput]:
+def scene_inputs(job: MethodJob, context: Context) -> list[SceneInput]:
     """What the views jobs stored of the scenes that a job fits.
 
     With ``--split val`` the validation views (every tenth training view) are left out of the fit and
@@ -42,7 +43,6 @@ def scene_inputs(context: Context) -> list[SceneInput]:
     Raises:
         Refused: a method that reads the volume itself is to work in other scene units.
     """
-    job = context.job
     dataset = cache(partial(open_dataset, job.dataset))
     stress = stress_of(job.stress)
     units = stress.get("units", 1.0)

@@ -12,14 +12,14 @@ from econgs_bench.bench.machine.timing import synchronise
 from econgs_bench.methods.options import SAMPLES
 
 if TYPE_CHECKING:
-    from econgs_bench.bench.store.records import Job
+    from econgs_bench.bench.jobs.method import MethodJob
     from econgs_bench.datasets.camera import Camera
     from econgs_bench.datasets.edits import Edit
     from econgs_bench.datasets.scene import RGB
     from econgs_bench.methods.interface import Model
 
 
-def drawn_as(job: Job, model: Model) -> Model:
+def drawn_as(job: MethodJob, model: Model) -> Model:
     """The model as a measurement draws it: itself, or as means over pixels."""
     samples = int(job.overrides.get(SAMPLES, 1))
     return model if samples == 1 else Supersampled(model, math.isqrt(samples), job.device)

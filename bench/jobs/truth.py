@@ -8,8 +8,9 @@ truth/*.png    the views that are measured on, in 8 bits: for pages and people
 
 from __future__ import annotations
 
+import base64
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
     from econgs_bench.datasets.cloud import CloudSource, PointCloud
     from econgs_bench.datasets.scene import BasicScene
 
+FILES = "files"
+"""Renderer of pre-rendered views."""
 INDEX = "views.json"
 _CLOUD = "cloud.npz"
 _MOST_VALUES = 10_000_000
@@ -156,3 +159,23 @@ def _definitions() -> Any:
     from econgs_bench.datasets.scene import BasicScene
 
     return TypeAdapter(BasicScene)
+
+
+def renderer_of(cost: Mapping[str, Any] | None) -> str:
+    """Renderer of views, from the cost of rendering them; pre-rendered views have none."""
+    if not cost:
+        return FILES
+    return " ".join(str(cost[name]) for name in ("renderer", "version", "backend") if cost.get(name))
+
+
+def sketch(views: ViewSet) -> str:
+    """Mean and root mean square of each view's four channels, 16 bits each: a mark of the pictures.
+
+    Two renderers of one scene differ by rounding, which a hash of the pictures would not forgive.
+    """
+    rows = []
+    for image in views.images:  # one by one: large views lie in files
+        values = np.asarray(image, dtype=np.float64).reshape(-1, 4)
+        rows.append([*values.mean(axis=0), *np.sqrt((values**2).mean(axis=0))])
+    values = np.clip(rows, 0.0, 1.0)
+    return base64.b64encode(np.round(values * 65535).astype("<u2").tobytes()).decode()

@@ -9,6 +9,8 @@ from itertools import chain, islice
 from statistics import median
 from typing import Any
 
+from econgs_bench.bench.jobs.fit import FitResult
+from econgs_bench.bench.jobs.method import MethodJob
 from econgs_bench.bench.store.records import Job, Record
 from econgs_bench.bench.store.store import Store
 
@@ -79,22 +81,25 @@ class Past:
 
 def work(job: Job) -> float:
     """What a job's time grows with: a fit's iterations, which are of all its scenes together; else scenes."""
-    return float(job.iterations or len(job.scenes))
+    iterations = job.iterations if isinstance(job, MethodJob) else None
+    return float(iterations or len(job.scenes))
 
 
 def _likenesses(job: Job) -> tuple[list[tuple[Any, ...]], list[tuple[Any, ...]]]:
     """Keys that similar jobs share, the closest first: those of the same variant and views, and others."""
-    loose = (job.kind, job.method, job.preset)
+    method, label = (job.method, job.variant) if isinstance(job, MethodJob) else (None, "")
+    loose = (job.kind, method, job.preset)
     request = job.request
     sized = (*loose, *request.model_dump().values())
     dataset, grouped = (*sized, job.dataset_name), (*sized, job.dataset_name, len(job.scenes))
-    variant = ("variant", job.variant)
+    variant = ("variant", label)
     return [(*grouped, *variant), (*dataset, *variant), (*sized, *variant)], [grouped, dataset, sized, loose]
 
 
 def _seconds(record: Record) -> float:
     """Seconds of a job; of a fit that was interrupted, its earlier attempts too."""
-    return max(record.wall_seconds, record.fit.seconds if record.fit is not None else 0.0)
+    fit = record.of(FitResult)
+    return max(record.wall_seconds, fit.seconds if fit is not None else 0.0)
 
 
 def _median(jobs: list[tuple[Store, Record]]) -> Estimate:

@@ -10,17 +10,23 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
-from econgs_bench.bench.machine.timing import RULERS
+from econgs_bench.bench.jobs.complexity import Complexity
+from econgs_bench.bench.jobs.dvr import Dvr
+from econgs_bench.bench.jobs.encode import Encode
+from econgs_bench.bench.jobs.fit import Fit
+from econgs_bench.bench.jobs.measure import Measure
+from econgs_bench.bench.jobs.method import MethodJob, TrainingJob
+from econgs_bench.bench.jobs.partition import Partition, PartitionResult
+from econgs_bench.bench.jobs.scene import SceneJob
+from econgs_bench.bench.jobs.views import Views
 from econgs_bench.bench.metrics import METRICS
 from econgs_bench.bench.plan.selection import Selection, Subset, subset_of_scene, subsets, usual_sources
-from econgs_bench.bench.store.records import SAMPLED, Job
+from econgs_bench.bench.store.records import Job
 from econgs_bench.bench.store.store import Store
 from econgs_bench.bench.suites.edits import edit_of, text_of
 from econgs_bench.bench.suites.stress import part_of, stress_of
-from econgs_bench.datasets.content import hash_of
 from econgs_bench.datasets.edits import changes_transfer
 from econgs_bench.datasets.names import unknown
 from econgs_bench.datasets.unseen import recipe
@@ -28,6 +34,9 @@ from econgs_bench.methods.interface import CLOUD_POINTS, MethodSpec
 from econgs_bench.methods.options import ITERATIONS, SAMPLES, Settings, resolve
 from econgs_bench.methods.registry import Registry
 from econgs_bench.reports import schema
+
+_S = TypeVar("_S", bound=SceneJob)
+_T = TypeVar("_T", bound=TrainingJob)
 
 
 class Planner:
@@ -234,15 +243,16 @@ class Planner:
     # ------------------------------------------------------------------ graph
 
     def _all(self, groups: Callable[[Job], list[list[str]]]) -> Iterator[Job]:
-        climbing = {name for ladder in self._selection.suite.ladders for name in ladder.datasets}
+        suite = self._selection.suite
+        climbing = {name for ladder in suite.ladders for name in ladder.datasets}
         climbed = usual_sources(self._selection, climbing)  # their usual runs are first rungs
         for subset in self._subsets:
-            if self._selection.suite.dvr and subset.kind == "volume":
+            if suite.dvr and subset.kind == "volume":
                 for name in (*subset.hashes, *subset.compositions):
-                    yield self._of_scene("dvr", subset, name)
-            if self._selection.suite.parsimony and subset.kind == "volume":
+                    yield self._of_scene(Dvr, subset, name)
+            if suite.parsimony and subset.kind == "volume":
                 for name in subset.hashes:
-                    yield self._of_scene("complexity", subset, name)
+                    yield self._of_scene(Complexity, subset, name)
             if self._settings and subset.source not in climbed:
                 yield from self._of_case(_Case(subset, "", self._settings), self._seeds, groups)
         for case in self._cases:
@@ -263,138 +273,90 @@ class Planner:
             subset = replace(subset, compositions={})
         before, shown = (part_of(case.stress, *parts) for parts in (("truth",), ("truth", "test")))
         views = {
-            name: self._of_scene("views", subset, name, stress=before)
+            name: self._of_scene(Views, subset, name, stress=before)
             for name in (*subset.hashes, *subset.compositions)
         }
         edited = {} if case.stress else self._edited_views(subset)
         yield from (*views.values(), *edited.values())
         tested = views
         if shown != before:
-            tested = {name: self._of_scene("views", subset, name, stress=shown) for name in subset.hashes}
+            tested = {name: self._of_scene(Views, subset, name, stress=shown) for name in subset.hashes}
             yield from tested.values()
         for spec, settings, rates in case.choices:
             for seed in seeds:
                 training = partial(self._training, case, spec, settings.fitted, seed, views)
                 fitted, partition = [[scene] for scene in subset.hashes], None
+                needs: tuple[str, ...] = ()
                 if spec.joint:
-                    partition = training("partition", list(subset.hashes))
+                    partition = training(Partition, list(subset.hashes))
                     yield partition
-                    fitted = groups(partition)
+                    fitted, needs = groups(partition), (partition.id,)
                 # A group's share of partition time is that of this very partition.
                 after = {"partition": partition.key if partition else None}
-                needs = (partition.id,) if partition else ()
-                fits = [training("fit", group, needs, after) for group in fitted]
-                jobs = self._of_fits(spec, fits, replace(case, subset=subset), tested, edited, rates)
-                yield from (_drawn(job, settings) for job in jobs)
+                fits = [training(Fit, group, needs, **after) for group in fitted]
+                yield from self._of_fits(
+                    spec, settings, fits, replace(case, subset=subset), tested, edited, rates
+                )
 
     def _of_fits(
         self,
         spec: MethodSpec,
-        fits: list[Job],
+        settings: Settings,
+        fits: list[Fit],
         case: _Case,
-        views: dict[str, Job],
-        edited: dict[tuple[str, str], Job],
+        views: dict[str, Views],
+        edited: dict[tuple[str, str], Views],
         rates: list[float | None],
     ) -> Iterator[Job]:
         """The fits of all scenes, their models at all rates, and the measurements."""
-        encodes: dict[tuple[str, float | None], Job] = {}
+
+        def measure(models: list[Encode], scenes: tuple[str, ...], truth: Views, **fields: Any) -> Job:
+            suite = self._selection.suite
+            measured = Measure.of(
+                models, truth, scenes,
+                metrics=self._metrics, sampled=suite.sampled, parsimony=suite.parsimony, **fields,
+            )  # fmt: skip
+            return measured.drawn(settings)
+
+        encodes: dict[tuple[str, float | None], Encode] = {}
         for fit in fits:
             yield fit
             for rate in rates:
-                identity = {"kind": "encode", "fit": fit.key, "rate": rate}
-                encode = _after(fit, identity, needs=(fit.id,), rate=rate)
+                encode = Encode.of(fit, rate)
                 yield encode
                 for scene in fit.scenes:
                     encodes[scene, rate] = encode
-                    yield self._measure([encode], (scene,), views[scene], stress=case.stress)
+                    yield measure([encode], (scene,), views[scene], stress=case.stress)
         for (name, edit), truth in edited.items() if fits else ():
             parts = case.subset.compositions.get(name)
             if parts is not None:
-                yield self._measure(_of(encodes, parts, None), parts, truth, name, edit)
+                yield measure(_of(encodes, parts, None), parts, truth, composition=name, edit=edit)
                 continue
             mixed = _recipe(case.subset, name, edit, spec)
             models = _of(encodes, mixed or (name,), None)
-            yield self._measure(models, (name,), truth, edit=edit, recipe=mixed)
+            yield measure(models, (name,), truth, edit=edit, recipe=mixed)
         for name, parts in case.subset.compositions.items() if fits else ():
             for rate in rates:
-                yield self._measure(_of(encodes, parts, rate), parts, views[name], name)
+                yield measure(_of(encodes, parts, rate), parts, views[name], composition=name)
 
-    def _measure(
-        self,
-        encodes: list[Job],
-        scenes: tuple[str, ...],
-        views: Job,
-        composition: str = "",
-        edit: str = "",
-        stress: str = "",
-        recipe: Mapping[str, str] = MappingProxyType({}),
-    ) -> Job:
-        """The measurement of a basic scene, edited or not, or of the scenes of a composition together."""
-        identity: dict[str, Any] = {
-            "kind": "measure",
-            "views": views.key,
-            "split": self._selection.split,
-            "metrics": self._metrics,
-            "rulers": RULERS,
-        }
-        if composition:
-            identity |= {"encodes": [encode.key for encode in encodes], "scenes": list(scenes)}
-        else:
-            identity |= {"encode": encodes[0].key, "scene": scenes[0]}
-        if edit:
-            identity["edit"] = edit
-        if recipe:
-            identity |= {"encodes": [encode.key for encode in encodes], "recipe": dict(recipe)}
-        if (sampled := self._selection.suite.sampled) != SAMPLED:
-            identity["sampled"] = sampled
-        usual = encodes[0].rate is None and not (encodes[0].knob or composition or edit or stress)
-        prunable = self._selection.suite.parsimony and usual
-        if prunable:
-            identity["prunable"] = True
-        return _after(
-            encodes[0],
-            identity,
-            needs=(views.id, *(encode.id for encode in encodes)),
-            scenes=scenes,
-            composition=composition,
-            edit=edit,
-            recipe=dict(recipe),
-            stress=stress,
-            group=",".join(encode.group for encode in encodes),
-            metrics=dict(self._metrics),
-            sampled=sampled,
-            prunable=prunable,
-        )
-
-    def _edited_views(self, subset: Subset) -> dict[tuple[str, str], Job]:
+    def _edited_views(self, subset: Subset) -> dict[tuple[str, str], Views]:
         """Scene or composition, and edit -> the views of the edited one, where scenes can be rendered."""
         if subset.kind != "volume":
             return {}
         suite = self._selection.suite
         wanted = [(scene, edit) for scene in subset.hashes for edit in suite.edits]
         wanted += [(name, chain) for name in subset.compositions for chain in suite.chains]
-        return {(name, edit): self._of_scene("views", subset, name, edit) for name, edit in wanted}
+        return {(name, edit): self._of_scene(Views, subset, name, edit) for name, edit in wanted}
 
-    def _of_scene(self, kind: str, subset: Subset, name: str, edit: str = "", stress: str = "") -> Job:
-        """A job about a scene or composition without a method: its views, cost of rendering or complexity."""
-        identity: dict[str, Any] = {"kind": kind, "scene": subset.content(name)}
-        if kind != "complexity":
-            identity["request"] = subset.request.identity
-        if edit:
-            identity["edit"] = edit
-        if stress:
-            identity["stress"] = stress
-        if kind == "views":
-            identity["split"] = self._selection.split
-        if kind == "dvr":
-            identity["rulers"] = {"frame": RULERS["frame"]}
-        return self._job(
-            subset,
-            identity,
-            scenes=subset.compositions.get(name, (name,)),
-            composition=name if name in subset.compositions else "",
-            edit=edit,
-            stress=stress,
+    def _of_scene(self, kind: type[_S], subset: Subset, name: str, edit: str = "", stress: str = "") -> _S:
+        """A job about a scene or composition without a method."""
+        return kind.of(
+            self._about(subset),
+            subset.content(name),
+            subset.compositions.get(name, (name,)),
+            name if name in subset.compositions else "",
+            edit,
+            stress,
         )
 
     def _training(
@@ -403,72 +365,40 @@ class Planner:
         spec: MethodSpec,
         settings: Settings,
         seed: int,
-        views: dict[str, Job],
-        kind: str,
+        views: dict[str, Views],
+        kind: type[_T],
         scenes: list[str],
         needs: tuple[str, ...] = (),
-        more: Mapping[str, Any] = MappingProxyType({}),
-    ) -> Job:
-        """A partition of scenes, or the fit of a group.
-
-        Its identity: content of the scenes, method, options, budget, seed, class of device, training views,
-        and the stress that decides it.
-        """
+        **more: Any,
+    ) -> _T:
+        """A partition of scenes, or the fit of a group; stress that decides it is part of it."""
         subset, stress = case.subset, part_of(case.stress, "truth", "input", "fit")
-        request, device = subset.request, self._selection.device
         share = float(stress_of(stress).get("budget", 1.0))
         if ITERATIONS not in settings.overrides:
             share *= self._preset.budget
-        iterations = settings.budget(len(scenes), share)
-        points = max(self._preset.cloud_points, int(settings.values.get(CLOUD_POINTS, 0)))
-        identity = {
-            "kind": kind,
-            "dataset": subset.name,
-            "scenes": [[name, subset.hashes[name]] for name in scenes],
-            "method": [spec.name, spec.version],
-            "options": settings.values,
-            "iterations": iterations,
-            "seed": seed,
-            "device": device.split(":")[0],
-            "views": [request.train_views, request.width, request.height],
-            "trains_on": "train" if self._selection.split == "val" else "trainval",
-            "cloud_points": points,
-            **more,
-        }
-        if request.samples != 1:
-            identity["samples"] = request.samples
-        if stress:
-            identity["stress"] = stress
-        return self._job(
-            subset,
-            identity,
-            needs=(*(views[scene].id for scene in scenes), *needs),
-            scenes=tuple(scenes),
-            group="+".join(scenes) if kind == "fit" else "",
-            method=spec.name,
-            variant=settings.variant,
+        return kind.of(
+            self._about(subset),
+            {name: subset.hashes[name] for name in scenes},
+            spec,
+            settings,
+            iterations=settings.budget(len(scenes), share),
             seed=seed,
-            options=settings.values,
-            overrides=settings.overrides,
-            knob=settings.knob,
-            iterations=iterations,
+            device=self._selection.device,
             stress=stress,
-            device=device,
-            cloud_points=points,
+            points=max(self._preset.cloud_points, int(settings.values.get(CLOUD_POINTS, 0))),
+            needs=(*(views[scene].id for scene in scenes), *needs),
+            **more,
         )
 
-    def _job(self, subset: Subset, identity: dict[str, Any], **fields: Any) -> Job:
-        return Job(
-            kind=identity["kind"],
-            key=hash_of(identity),
-            identity=identity,
-            dataset=subset.source,
-            dataset_name=subset.name,
-            request=subset.request,
-            split=self._selection.split,  # type: ignore[arg-type]
-            preset=self._preset_name,
-            **fields,
-        )
+    def _about(self, subset: Subset) -> dict[str, Any]:
+        """Fields that all jobs of a subset have in common."""
+        return {
+            "dataset": subset.source,
+            "dataset_name": subset.name,
+            "request": subset.request,
+            "split": self._selection.split,
+            "preset": self._preset_name,
+        }
 
 
 @dataclass(frozen=True)
@@ -486,7 +416,8 @@ class _Case:
     def has(self, job: Job, spec: MethodSpec, settings: Settings) -> bool:
         """Whether a measurement is of one of its runs, with these settings."""
         return (
-            job.dataset == self.subset.source
+            isinstance(job, MethodJob)
+            and job.dataset == self.subset.source
             and job.request == self.subset.request
             and job.scenes[0] in self.subset.hashes
             and (job.stress, job.method, job.variant) == (self.stress, spec.name, settings.variant)
@@ -498,7 +429,8 @@ def _groups(partition: Job, store: Store | None) -> list[list[str]]:
     record = store.record(partition.id) if store else None
     if record is not None and not record.ok:
         return [list(partition.scenes)]  # its failure is the failure of every scene
-    return record.partition.groups if record is not None and record.partition is not None else []
+    result = record.of(PartitionResult) if record is not None else None
+    return result.groups if result is not None else []
 
 
 def _recipe(subset: Subset, name: str, text: str, spec: MethodSpec) -> dict[str, str]:
@@ -515,21 +447,7 @@ def _recipe(subset: Subset, name: str, text: str, spec: MethodSpec) -> dict[str,
 
 
 def _of(
-    encodes: Mapping[tuple[str, float | None], Job], scenes: Iterable[str], rate: float | None
-) -> list[Job]:
+    encodes: Mapping[tuple[str, float | None], Encode], scenes: Iterable[str], rate: float | None
+) -> list[Encode]:
     """The models at a rate that hold some scenes, each once."""
     return list({encodes[scene, rate].id: encodes[scene, rate] for scene in scenes}.values())
-
-
-def _drawn(job: Job, settings: Settings) -> Job:
-    """A measurement by the settings that decide drawing alone; other jobs as they are."""
-    if job.kind != "measure" or settings.samples == 1:
-        return job
-    identity = {**job.identity, SAMPLES: settings.samples}
-    return _after(job, identity, variant=settings.variant, overrides=settings.overrides)
-
-
-def _after(job: Job, identity: dict[str, Any], **changes: Any) -> Job:
-    """A job that follows another one of the same method and group."""
-    kind = {"kind": identity["kind"], "key": hash_of(identity), "identity": identity}
-    return job.model_copy(update=kind | changes)

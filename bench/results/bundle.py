@@ -26,6 +26,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from econgs_bench.bench.jobs.encode import EncodeResult
 from econgs_bench.bench.results.rungs import FILE, ladders_of
 from econgs_bench.bench.results.tables import stored_tables
 from econgs_bench.bench.results.verification import Evidence, absences, contradictions
@@ -33,8 +34,8 @@ from econgs_bench.bench.store.records import SCHEMA, Provenance, Record
 from econgs_bench.bench.store.store import LONGEST, Store, read_record
 from econgs_bench.bench.suites.ladders import Ladder
 from econgs_bench.datasets.bounded import json_of, number_of_values, opened, room, values_room
-from econgs_bench.datasets.content import hash_of
 from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.hashes import hash_of
 from econgs_bench.datasets.seals import SEALED_SINCE, is_sealed
 from econgs_bench.reports.schema import joined
 from econgs_bench.reports.tables.documents import to_csv
@@ -286,12 +287,9 @@ def _records(root: Path, tables: Collection[str], problems: list[str], most: int
         if record.started >= SEALED_SINCE and not is_sealed(path):
             problems.append(f"{record.job.id}: has no checksum, and ran when all records had one")
         problems += _check_model(root, record)
-        if record.fit is not None and "losses" not in tables:
-            record.fit.losses.clear()
-        if record.measure is not None and "features" not in tables:
-            record.measure.features.clear()
-        if record.views is not None and "scenes" not in tables:
-            record.views.transfer.clear()
+        for table, name in record.result.long.items() if record.result is not None else ():
+            if table not in tables:
+                getattr(record.result, name).clear()
         yield record
 
 
@@ -340,12 +338,11 @@ def _same(text: str, derived: str) -> bool:
 def _check_model(root: Path, record: Record) -> list[str]:
     """Models are optional; the files of one must have the bytes that its ledger counts."""
     folder = root / "jobs" / record.job.id / "model"
-    if record.encode is None or not folder.is_dir():
+    encode = record.of(EncodeResult)
+    if encode is None or not folder.is_dir():
         return []
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-    parts = sum(sum(part.values()) for part in record.encode.ledger.values())
-    if size == record.encode.total_bytes == parts:
+    parts = sum(sum(part.values()) for part in encode.ledger.values())
+    if size == encode.total_bytes == parts:
         return []
-    return [
-        f"{record.job.id}: {size} bytes of model, {record.encode.total_bytes} measured, {parts} in the ledger"
-    ]
+    return [f"{record.job.id}: {size} bytes of model, {encode.total_bytes} measured, {parts} in the ledger"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from econgs_bench.bench.results.lineage import Lineage
+from econgs_bench.bench.store.lineage import Lineage
 from econgs_bench.bench.store.records import Record
 
 

@@ -15,24 +15,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from econgs_bench.bench.results.lineage import Lineage
+from econgs_bench.bench.jobs.measure import Measure, MeasureResult
+from econgs_bench.bench.jobs.truth import renderer_of
+from econgs_bench.bench.jobs.views import ViewsResult
+from econgs_bench.bench.store.lineage import Lineage
 from econgs_bench.bench.store.records import Record
 from econgs_bench.bench.suites.stress import part_of
-from econgs_bench.datasets.content import hash_of
+from econgs_bench.datasets.hashes import hash_of
 
 if TYPE_CHECKING:
-    from econgs_bench.datasets.views import ViewSet
+    pass
 
 TOLERANCE = 1e-3
 """Largest difference of two sketches whose pictures count as equal: a quarter of a step of 8 bits."""
-FILES = "files"
-"""Renderer of pre-rendered views."""
 
 
 def truth(record: Record, lineage: Lineage) -> str | None:
     """Identity of the pictures that a measurement compares with, and of its views; None if not known."""
     job = record.job
-    if record.measure is None:
+    measured = record.of(MeasureResult)
+    if measured is None:
         return None
     known = lineage.contents(record) or {}
     parts = [known.get(job.subject)] if job.subject in known else [known.get(scene) for scene in job.scenes]
@@ -47,38 +49,19 @@ def truth(record: Record, lineage: Lineage) -> str | None:
         views = [parts, job.edit, stress, job.split, size, held_out]
     if views is None:
         return None
-    names = hash_of([view.view for view in record.measure.views])
+    names = hash_of([view.view for view in measured.views])
     return f"{hash_of(views)}-{names[:8]}"
 
 
 def renderer(record: Record, lineage: Lineage) -> str | None:
     """What rendered the pictures of a measurement, as "mitsuba 3.9.1 llvm"; None where not known."""
-    if record.measure is not None and record.measure.renderer:
-        return record.measure.renderer
+    measured = record.of(MeasureResult)
+    if measured is not None and measured.renderer:
+        return measured.renderer
     for one in lineage.needed(record, "views"):
-        if one.views is not None:
-            return renderer_of(one.views.cost.get(record.job.split))
+        if (views := one.of(ViewsResult)) is not None:
+            return renderer_of(views.cost.get(record.job.split))
     return None
-
-
-def renderer_of(cost: Mapping[str, Any] | None) -> str:
-    """Renderer of views, from the cost of rendering them; pre-rendered views have none."""
-    if not cost:
-        return FILES
-    return " ".join(str(cost[name]) for name in ("renderer", "version", "backend") if cost.get(name))
-
-
-def sketch(views: ViewSet) -> str:
-    """Mean and root mean square of each view's four channels, 16 bits each: a mark of the pictures.
-
-    Two renderers of one scene differ by rounding, which a hash of the pictures would not forgive.
-    """
-    rows = []
-    for image in views.images:  # one by one: large views lie in files
-        values = np.asarray(image, dtype=np.float64).reshape(-1, 4)
-        rows.append([*values.mean(axis=0), *np.sqrt((values**2).mean(axis=0))])
-    values = np.clip(rows, 0.0, 1.0)
-    return base64.b64encode(np.round(values * 65535).astype("<u2").tobytes()).decode()
 
 
 def _values(text: str) -> NDArray[np.float64]:
@@ -92,10 +75,11 @@ def disagreeing(lineage: Lineage) -> dict[str, str]:
     """
     sketches: dict[str, dict[str, str]] = defaultdict(dict)
     for record in lineage:
-        if record.measure is not None and record.measure.sketch:
+        measured = record.of(MeasureResult)
+        if measured is not None and measured.sketch:
             key = truth(record, lineage)
             if key is not None:
-                sketches[key][record.job.id] = record.measure.sketch
+                sketches[key][record.job.id] = measured.sketch
     marks = {}
     for own in sketches.values():
         usual = Counter(own.values()).most_common(1)[0][0]
@@ -114,7 +98,7 @@ def metric_versions(record: Record) -> dict[str, str]:
     """Metric -> version of a measurement; what older records do not name has version 1."""
     from econgs_bench.reports.schema import COVERAGE
 
-    if record.job.kind != "measure":
+    if not isinstance(record.job, Measure):
         return {}
     return dict.fromkeys(COVERAGE, "1") | record.job.metrics
 
@@ -129,11 +113,11 @@ def axes(record: Record, lineage: Lineage, marks: Mapping[str, str]) -> dict[str
     """
     known, key = lineage.contents(record), truth(record, lineage)
     mark = marks.get(record.job.id)
-    versions = metric_versions(record)
+    versions, measured = metric_versions(record), record.of(MeasureResult)
     return {
         "contents": json.dumps(known, sort_keys=True) if known else None,
         "truth": f"{mark}{key[len(mark) :]}" if key is not None and mark else key,
         "renderer": renderer(record, lineage) if record.job.kind == "measure" else None,
-        "test_views": len(record.measure.views) if record.measure is not None else None,
+        "test_views": len(measured.views) if measured is not None else None,
         "metric_versions": json.dumps(versions, sort_keys=True) if versions else None,
     }

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from econgs_bench.bench.jobs.measure import Measure
 from econgs_bench.bench.store.records import Job
 from econgs_bench.bench.store.store import Store, write_text
 from econgs_bench.bench.suites.ladders import Ladder, ladder_of
@@ -51,7 +52,7 @@ def rungs_of(job: Job, ladders: Iterable[Ladder]) -> Iterator[dict[str, Any]]:
     Compositions, edited scenes and saved rates are on none. A dataset that some ladder names is on those that
     name it, and options of a rung are on its own ladder alone.
     """
-    if job.kind != "measure" or job.composition or job.edit or job.rate is not None:
+    if not isinstance(job, Measure) or job.composition or job.edit or job.rate is not None:
         return
     ladders = list(ladders)
     named = {name for ladder in ladders for name in ladder.datasets}
@@ -66,16 +67,16 @@ def rungs_of(job: Job, ladders: Iterable[Ladder]) -> Iterator[dict[str, Any]]:
                 "purpose": ladder.title,
                 "place": place,
                 "rungs": len(ladder.rungs),
-                "rung": ladder.rungs[place].title(job.method or ""),
+                "rung": ladder.rungs[place].title(job.method),
                 "subject": "" if ladder.of_scenes else f"{job.dataset_name}/{job.subject}",
                 "variant": label(base),
                 "same_truth": ladder.rungs[place].same_truth,
             }
 
 
-def place_of(ladder: Ladder, job: Job) -> int | None:
+def place_of(ladder: Ladder, job: Measure) -> int | None:
     """The rung of a measurement, from 0; None if it is on no rung."""
-    method = job.method or ""
+    method = job.method
     if not ladder.is_for(method):
         return None
     names = ladder.options(method)
@@ -90,14 +91,12 @@ def place_of(ladder: Ladder, job: Job) -> int | None:
     return None
 
 
-def _base(ladder: Ladder, job: Job) -> dict[str, Any]:
+def _base(ladder: Ladder, job: Measure) -> dict[str, Any]:
     """Options of a measurement that differ from the preset's, without those of the rungs."""
-    names = ladder.options(job.method or "")
+    names = ladder.options(job.method)
     return {name: value for name, value in job.overrides.items() if name not in names}
 
 
-def _sets(ladder: Ladder, options: dict[str, Any], job: Job) -> bool:
+def _sets(ladder: Ladder, options: dict[str, Any], job: Measure) -> bool:
     """Whether some options are those of one of its rungs."""
-    return bool(options) and any(
-        dict(rung.options.get(job.method or "", {})) == options for rung in ladder.rungs
-    )
+    return bool(options) and any(dict(rung.options.get(job.method, {})) == options for rung in ladder.rungs)

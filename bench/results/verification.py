@@ -15,11 +15,15 @@ from datetime import datetime
 from functools import cache, cached_property
 from itertools import pairwise
 
+from econgs_bench.bench.jobs.encode import EncodeResult
+from econgs_bench.bench.jobs.fit import Fit, FitResult
+from econgs_bench.bench.jobs.measure import Measure, MeasureResult
+from econgs_bench.bench.jobs.views import ViewsResult
 from econgs_bench.bench.machine.timing import MEASURE_FRAMES, MEASURE_SECONDS
 from econgs_bench.bench.metrics import METRICS
 from econgs_bench.bench.metrics.image import IDENTICAL_DB, SSIM_WINDOW
-from econgs_bench.bench.results.lineage import Lineage
-from econgs_bench.bench.store.records import FrameTimes, Record
+from econgs_bench.bench.store.lineage import Lineage
+from econgs_bench.bench.store.records import FrameTimes, Record, ViewResult
 from econgs_bench.bench.suites.stress import stress_of
 from econgs_bench.datasets.views import split_indices
 
@@ -54,11 +58,12 @@ class Evidence(Lineage):
         """Views job and split -> paths of its pictures: its own list, else that of a measurement."""
         files: dict[tuple[str, str], list[str]] = {}
         for record in self:
-            if record.measure is not None:
+            if (measured := record.of(MeasureResult)) is not None:
                 views = _views_job(record)
-                files.setdefault((views, record.job.split), [v.truth_file for v in record.measure.views])
+                files.setdefault((views, record.job.split), [v.truth_file for v in measured.views])
         for record in self:
-            for split, names in record.views.truth.items() if record.views is not None else ():
+            stored = record.of(ViewsResult)
+            for split, names in stored.truth.items() if stored is not None else ():
                 files[record.job.id, split] = [f"jobs/{record.job.id}/truth/{name}" for name in names]
         return files
 
@@ -97,9 +102,8 @@ def outcome(record: Record, evidence: Evidence) -> Iterator[str]:
     """A success has the result of its kind and a machine, and builds on successes."""
     if not record.ok:
         return
-    kind = record.job.kind
-    if getattr(record, kind) is None or record.provenance is None:
-        yield f"is a success without {'a machine' if getattr(record, kind) is not None else f'a {kind}'}"
+    if record.result is None or record.provenance is None:
+        yield f"is a success without {'a machine' if record.result is not None else f'a {record.job.kind}'}"
     for name in record.job.needs:
         if (need := evidence.by_id.get(name)) is not None and not need.ok:
             yield f"is a success on {name}, which ended as {need.status}"
@@ -120,16 +124,9 @@ def clock(record: Record, evidence: Evidence) -> Iterator[str]:
     # The record of a process that died is made by another, after the job.
     elif record.provenance and record.wall_seconds > _CLOCK_SECONDS + (1.0 + _CLOCK_SHARE) * between:
         yield f"took {record.wall_seconds:.6g} s, but {between:.6g} s lie between its start and its end"
-    parts: dict[str, float | None] = {
-        "fit.seconds": record.fit.seconds if record.fit is not None and not record.fit.resumed else None,
-        "partition.seconds": record.partition.seconds if record.partition is not None else None,
-        "encode.seconds": record.encode.seconds if record.encode is not None else None,
-        "render_seconds": record.views.render_seconds if record.views is not None else None,
-        "load_seconds": record.measure.load_seconds if record.measure is not None else None,
-        "dvr.load_seconds": record.dvr.load_seconds if record.dvr is not None else None,
-    }
+    parts = {} if record.result is None else record.result.parts()
     for name, seconds in parts.items():
-        if seconds is not None and not 0.0 <= seconds <= record.wall_seconds * (1.0 + _REL):
+        if not 0.0 <= seconds <= record.wall_seconds * (1.0 + _REL):
             yield f"{name} is {seconds:.6g} s of a job of {record.wall_seconds:.6g} s"
 
 
@@ -172,9 +169,10 @@ def processor(record: Record, evidence: Evidence) -> Iterator[str]:
 
 def means(record: Record, evidence: Evidence) -> Iterator[str]:
     """The mean of each metric is that of the views; None, with a reason, if any view lacks it."""
-    if (measure := record.measure) is None:
+    measure, job = record.of(MeasureResult), record.job
+    if measure is None or not isinstance(job, Measure):
         return
-    for name in record.job.metrics.keys() - measure.metrics.keys():
+    for name in job.metrics.keys() - measure.metrics.keys():
         yield f"{name} was asked for and is not there"
     for name, value in measure.metrics.items():
         values = [view.metrics.get(name) for view in measure.views]
@@ -194,7 +192,7 @@ def means(record: Record, evidence: Evidence) -> Iterator[str]:
 
 def bounds(record: Record, evidence: Evidence) -> Iterator[str]:
     """Every value lies between the least and greatest that its metric has."""
-    for view in record.measure.views if record.measure is not None else ():
+    for view in _view_results(record):
         for name, value in view.metrics.items():
             low, high = METRICS[name].bounds if name in METRICS else (-math.inf, math.inf)
             if value is not None and not low - _REL <= value <= high + _REL:
@@ -206,7 +204,7 @@ def views(record: Record, evidence: Evidence) -> Iterator[str]:
 
     Rendered truth has the number of views that was asked for, pre-rendered truth at most that.
     """
-    if (measure := record.measure) is None:
+    if (measure := record.of(MeasureResult)) is None:
         return
     job = record.job
     names, number = [view.view for view in measure.views], len(measure.views)
@@ -224,7 +222,8 @@ def views(record: Record, evidence: Evidence) -> Iterator[str]:
     request = job.request
     asked = len(split_indices(request.test_views if job.split == "test" else request.train_views, job.split))
     stored = evidence.by_id.get(source)
-    rendered = stored is not None and stored.views is not None and bool(stored.views.cost)
+    made = None if stored is None else stored.of(ViewsResult)
+    rendered = made is not None and bool(made.cost)
     if number > asked or (rendered and number < asked) or number == 0:
         yield f"has {number} views, and {asked} were asked for"
     if stored is not None and stored.job.request != request:
@@ -239,7 +238,7 @@ def identical(record: Record, evidence: Evidence) -> Iterator[str]:
     best = {"psnr": IDENTICAL_DB, "psnr_fg": IDENTICAL_DB, "ssim": 1.0}
     alpha = ("missing", "excess")  # which the pictures do not show
     greatest = 10.0 * math.log10(255.0**2 * _values(record))
-    for view in record.measure.views if record.measure is not None else ():
+    for view in _view_results(record):
         if view.identical:
             for name, value in view.metrics.items():
                 wanted = best.get(name, 0.0)
@@ -254,10 +253,10 @@ def steps(record: Record, evidence: Evidence) -> Iterator[str]:
 
     A double of PSNR gives the sum to about 1e-14 of itself; where that is too coarse, nothing is checked.
     """
-    if record.job.metrics.get("psnr") != "1":
+    if not isinstance(record.job, Measure) or record.job.metrics.get("psnr") != "1":
         return
     number = _values(record)
-    for view in record.measure.views if record.measure is not None else ():
+    for view in _view_results(record):
         value = view.metrics.get("psnr")
         if value is None or value >= IDENTICAL_DB:
             continue
@@ -270,7 +269,7 @@ def steps(record: Record, evidence: Evidence) -> Iterator[str]:
 def similarity(record: Record, evidence: Evidence) -> Iterator[str]:
     """SSIM is not below what PSNR allows (:func:`least_ssim`)."""
     width, height = _size(record)
-    for view in record.measure.views if record.measure is not None else ():
+    for view in _view_results(record):
         psnr, ssim = view.metrics.get("psnr"), view.metrics.get("ssim")
         if psnr is None or ssim is None:
             continue
@@ -311,7 +310,7 @@ def least_ssim(psnr: float, width: int, height: int) -> float:
 
 def ledger(record: Record, evidence: Evidence) -> Iterator[str]:
     """The bytes of a model's parts are not negative, belong to its scenes and sum to those of its files."""
-    if (encode := record.encode) is None:
+    if (encode := record.of(EncodeResult)) is None:
         return
     total = sum(sum(parts.values()) for parts in encode.ledger.values())
     if total != encode.total_bytes:
@@ -324,12 +323,13 @@ def ledger(record: Record, evidence: Evidence) -> Iterator[str]:
 
 def fit(record: Record, evidence: Evidence) -> Iterator[str]:
     """A fit has its iterations, none quicker than any can be, and its curve and processor time fit in."""
-    if (result := record.fit) is None:
+    result, job = record.of(FitResult), record.job
+    if result is None or not isinstance(job, Fit):
         return
-    if result.iterations != record.job.iterations:
-        yield f"ran {result.iterations} iterations of {record.job.iterations}"
+    if result.iterations != job.iterations:
+        yield f"ran {result.iterations} iterations of {job.iterations}"
     least = LEAST_ITERATION_SECONDS * result.iterations
-    if record.job.method in _built_in() and result.seconds < least:
+    if job.method in _built_in() and result.seconds < least:
         spent = f"{result.iterations} iterations in {result.seconds:.6g} s"
         yield f"{spent}, {least:.6g} s or more on any machine"
     points = [(0, 0.0), *((point.iteration, point.train_seconds) for point in result.curve)]
@@ -356,7 +356,7 @@ def frames(record: Record, evidence: Evidence) -> Iterator[str]:
     0.45 n (median + p05) is less than the whole job takes. Timing ends after a second or 500 frames: fewer
     frames take a second, of which those beyond the 95th percentile have a part alone.
     """
-    times: FrameTimes | None = record.measure or record.dvr
+    times = record.of(FrameTimes)
     if times is None:
         return
     low, median, high = times.frame_seconds_p05, times.frame_seconds, times.frame_seconds_p95
@@ -368,8 +368,8 @@ def frames(record: Record, evidence: Evidence) -> Iterator[str]:
     most = times.frames * high
     if times.frames < MEASURE_FRAMES and most < _TAIL_SHARE * MEASURE_SECONDS:
         yield f"{times.frames} frames of {high:.6g} s take {most:.6g} s, the timing {MEASURE_SECONDS:g} s"
-    if record.measure is not None and record.measure.timing.get("frame") != median:
-        yield f"a frame takes {median:.6g} s, but {record.measure.timing.get('frame')} s in its timing"
+    if isinstance(times, MeasureResult) and times.timing.get("frame") != median:
+        yield f"a frame takes {median:.6g} s, but {times.timing.get('frame')} s in its timing"
 
 
 CHECKS: tuple[Check, ...] = (
@@ -377,12 +377,17 @@ CHECKS: tuple[Check, ...] = (
 )  # fmt: skip
 
 
+def _view_results(record: Record) -> list[ViewResult]:
+    measured = record.of(MeasureResult)
+    return [] if measured is None else measured.views
+
+
 def _views_job(record: Record) -> str:
     return next((name for name in record.job.needs if name.startswith("views-")), "")
 
 
 def _size(record: Record) -> tuple[int, int]:
-    """Width and height of the measured views in pixels, as for :func:`.bench.plan.inputs.view_request`."""
+    """Width and height of the measured views, as for :func:`.bench.jobs.scene_views.view_request`."""
     zoom = stress_of(record.job.stress).get("zoom", 1.0)
     request = record.job.request
     return max(1, round(zoom * request.width)), max(1, round(zoom * request.height))

@@ -11,15 +11,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
+from econgs_bench.bench.jobs.fit import Fit
+from econgs_bench.bench.jobs.method import MethodJob
 from econgs_bench.bench.machine.provenance import source_hash
-from econgs_bench.bench.results.lineage import Lineage
+from econgs_bench.bench.store.lineage import Lineage
 from econgs_bench.bench.store.records import Job, Record
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.methods.interface import MethodSpec
 from econgs_bench.methods.options import ITERATIONS, declared, resolve, written
-
-_ROWS = ("measure", "dvr", "complexity")
-"""Kinds of jobs that are a row each."""
 
 
 def changes(fits: Iterable[Record], methods: Mapping[str, MethodSpec]) -> str:
@@ -34,11 +33,12 @@ def changes(fits: Iterable[Record], methods: Mapping[str, MethodSpec]) -> str:
         fits: records of fit jobs.
         methods: name -> spec of today; fits of other methods have no changes.
     """
-    found = (_changes(fit.job, methods[str(fit.job.method)]) for fit in fits if fit.job.method in methods)
+    jobs = [fit.job for fit in fits if isinstance(fit.job, MethodJob)]
+    found = (_changes(job, methods[job.method]) for job in jobs if job.method in methods)
     return ", ".join(dict.fromkeys(change for one in found for change in one))
 
 
-def _changes(job: Job, spec: MethodSpec) -> list[str]:
+def _changes(job: MethodJob, spec: MethodSpec) -> list[str]:
     _, version = job.identity["method"]
     if version != spec.version:
         return [f"version {version} (today {spec.version})"]
@@ -67,10 +67,12 @@ def of_other_source(records: Iterable[Record], methods: Mapping[str, MethodSpec]
     """
     sources: dict[str, set[str]] = defaultdict(set)
     for record in records:
-        name, made = record.job.method or "", record.provenance
-        if name not in methods or record.fit is None or made is None or made.source is None:
+        job, made = record.job, record.provenance
+        if not isinstance(job, Fit) or not record.ok or made is None or made.source is None:
             continue
-        if record.job.identity["method"][1] == methods[name].version:
+        if (name := job.method) not in methods:
+            continue
+        if job.identity["method"][1] == methods[name].version:
             sources[name].add(made.source)
     here = {name: source_hash(methods[name]) for name in sources}
     return sorted(name for name, found in sources.items() if here[name] is not None and found != {here[name]})
@@ -140,8 +142,7 @@ def _cell(record: Record, lineage: Lineage) -> tuple[Any, ...]:
     together = lineage.scenes_together(record)
     learned = frozenset((lineage.contents(record) or {}).items()) if together else frozenset()
     return (
-        *_protocol(job), *size, job.method, job.variant, job.seed, job.stress, job.device.split(":")[0],
-        together, learned,
+        *_protocol(job), *size, *job.cell, job.stress, together, learned,
     )  # fmt: skip
 
 
@@ -150,19 +151,17 @@ def _newest_rows(records: list[Record], lineage: Lineage) -> list[Record]:
     best: dict[tuple[Any, ...], Record] = {}
     for record in records:
         job = record.job
-        if job.kind in _ROWS:
-            on = job.identity.get("views" if job.kind == "measure" else "scene")
+        if job.shown is not None:
             row = (
                 job.kind,
-                on,
+                job.shown,
                 *_cell(record, lineage),
                 job.subject,
                 bool(job.composition),
                 job.edit,
-                job.rate,
             )
             rival = best.get(row)
             if rival is None or (record.ok, record.finished) > (rival.ok, rival.finished):
                 best[row] = record
     newest = {record.job.id for record in best.values()}
-    return [record for record in records if record.job.kind not in _ROWS or record.job.id in newest]
+    return [record for record in records if record.job.shown is None or record.job.id in newest]

@@ -23,6 +23,7 @@ import dask
 from distributed import Client, Future, KilledWorker, LocalCluster
 from distributed.security import Security
 
+from econgs_bench.bench.jobs.method import MethodJob
 from econgs_bench.bench.machine.timing import available_cores
 from econgs_bench.bench.plan.estimates import Past
 from econgs_bench.bench.plan.planner import Planner
@@ -226,7 +227,7 @@ class DaskExecutor(Executor):
         needs: dict[str, float] = {SLOT: 1}
         if self._threads is not None:
             needs["cores"] = self._threads
-        if job.device.startswith("cuda"):
+        if isinstance(job, MethodJob) and job.device.startswith("cuda"):
             needs["GPU"] = 1
         if self._limits.memory is not None and self._limits.memory < float("inf"):
             needs["memory"] = self._limits.memory

@@ -11,6 +11,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
+from econgs_bench.bench.jobs.method import MethodJob
 from econgs_bench.bench.machine.timing import available_cores
 from econgs_bench.bench.plan.estimates import Past
 from econgs_bench.bench.plan.planner import Planner
@@ -281,7 +282,7 @@ class Executor(ABC):
 
     def _limit(self, job: Job) -> Limit:
         """The limit of a job's time."""
-        spec = self._planner.registry.spec(job.method) if job.method is not None else None
+        spec = self._planner.registry.spec(job.method) if isinstance(job, MethodJob) else None
         return self._limits.time(job, self._past, spec)
 
 

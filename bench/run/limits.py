@@ -19,6 +19,7 @@ from pathlib import Path
 
 import psutil
 
+from econgs_bench.bench.jobs.method import MethodJob
 from econgs_bench.bench.machine.control_groups import memory_limit
 from econgs_bench.bench.plan.estimates import Past
 from econgs_bench.bench.run.display import span
@@ -70,7 +71,8 @@ class Limits:
             origin = f"{TIMES:g} times what jobs like it took here; --time-limit none lifts it"
             return Limit(seconds, origin)
         usual = spec.iterations.get(job.preset) if spec is not None else None
-        budgets = (job.iterations or 0) / usual if usual else 1.0
+        iterations = job.iterations if isinstance(job, MethodJob) else None
+        budgets = (iterations or 0) / usual if usual else 1.0
         larger = job.request.width * job.request.height / CAP_PIXELS
         cap = CAPS.get(job.preset, LONGEST_CAP) * max(len(job.scenes), budgets) * max(1.0, larger)
         return Limit(cap, f"the default of preset {job.preset}; --time-limit none lifts it")

@@ -20,7 +20,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from econgs_bench.bench.jobs.measure import Measure, MeasureResult
 from econgs_bench.bench.jobs.supersampling import drawn_as
+from econgs_bench.bench.jobs.views import ViewsResult
 from econgs_bench.bench.machine.timing import available_cores
 from econgs_bench.bench.metrics import METRICS
 from econgs_bench.bench.plan.estimates import Past
@@ -30,7 +32,6 @@ from econgs_bench.bench.run.runner import Runner
 from econgs_bench.bench.store.progress import log_tail
 from econgs_bench.bench.store.records import Job, Record
 from econgs_bench.bench.store.store import Store, read_record, write_text
-from econgs_bench.bench.suites.edits import edit_of, edits_of
 from econgs_bench.bench.suites.stress import stress_of
 from econgs_bench.datasets.catalogue import open_dataset
 from econgs_bench.datasets.catalogue.entries import built_in
@@ -99,8 +100,7 @@ def redo(
     given = {name: open_dataset(name) for name in datasets}
     redone, here = Redone(), _Here(store, given, tuple(plugins), limits or Limits())
     for record in chosen:
-        assert record.measure is not None
-        places = draw.views(record)
+        places, measured = draw.views(record), _measured(record)
         try:
             here.check_method(record)
             here.truth(record)
@@ -113,9 +113,9 @@ def redo(
             continue
         redone.problems += (f"{record.job.id}: {line}" for line in differences(record, places, answer))
         for name, reason in answer["missing"].items():
-            if record.measure.metrics.get(name) is not None:
+            if measured.metrics.get(name) is not None:
                 redone.unverified.append(f"{record.job.id}: {name} cannot be computed here: {reason}")
-        redone.views[record.job.id] = [record.measure.views[place].view for place in places]
+        redone.views[record.job.id] = [measured.views[place].view for place in places]
     return redone
 
 
@@ -130,7 +130,7 @@ class Draw:
 
         def whole(record: Record) -> bool:
             encodes = [name for name in record.job.needs if name.startswith("encode-")]
-            return record.measure is not None and all((store.jobs / n / "model").is_dir() for n in encodes)
+            return record.result is not None and all((store.jobs / n / "model").is_dir() for n in encodes)
 
         # Names alone are held, and no cache of the store: a record may be large.
         records = map(read_record, store.jobs.glob("measure-*/record.json"))
@@ -148,8 +148,7 @@ class Draw:
 
     def views(self, record: Record) -> list[int]:
         """Positions of some of its views, in order."""
-        assert record.measure is not None
-        places = range(len(record.measure.views))
+        places = range(len(_measured(record).views))
         return sorted(sorted(places, key=lambda place: self._rank(record.job.id, place))[:VIEWS])
 
     def _rank(self, *axes: object) -> str:
@@ -176,7 +175,7 @@ class _Here:
         Raises:
             DataError: it is not, or has another version.
         """
-        spec = self.registry.spec(str(record.job.method))
+        spec = self.registry.spec(_job(record).method)
         encodes = [need for need in record.job.needs if need.startswith("encode-")]
         fits = [fit for name in encodes if (one := self.store.record(name)) for fit in one.job.needs]
         for fit in filter(None, map(self.store.record, fits)):
@@ -194,7 +193,8 @@ class _Here:
         """
         name = next(need for need in record.job.needs if need.startswith("views-"))
         stored = self.store.record(name)
-        if stored is None or stored.views is None:
+        before = stored.of(ViewsResult) if stored is not None else None
+        if stored is None or before is None:
             raise DataError(name, "is not in the bundle", "Bundle the whole run store")
         if self.store.holds_files_of(stored):
             return
@@ -205,11 +205,12 @@ class _Here:
         ) as runner:  # fmt: skip
             limit = self.limits.time(job, Past([]), None)
             made, note = runner.run(job, limit)
-        if made is None or made.views is None or not self.store.holds_files_of(made):
+        after = made.of(ViewsResult) if made is not None else None
+        if made is None or after is None or not self.store.holds_files_of(made):
             reason = note or log_tail(self.store.partial / name) or "no reason is known"
             raise DataError(name, f"its views cannot be made here ({reason})", "Make them on another machine")
-        if made.views.view_keys.get(job.split) != stored.views.view_keys.get(job.split):
-            was, now = (_renderer(one, job.split) for one in (stored, made))
+        if after.view_keys.get(job.split) != before.view_keys.get(job.split):
+            was, now = (_renderer(one, job.split) for one in (before, after))
             reason = f"its views are others: rendered by {was}, here by {now}"
             raise DataError(name, reason, "Use the renderer that made them")
 
@@ -249,7 +250,7 @@ class _Here:
         folder.mkdir()
         request = {"job": record.job.id, "views": list(places), "plugins": self.plugins}
         write_text(folder / _REQUEST, json.dumps(request))
-        spec = self.registry.spec(str(record.job.method))
+        spec = self.registry.spec(_job(record).method)
         code, reason = _run(folder, self.limits.time(record.job, Past([]), spec), self.limits.bytes())
         if reason:
             raise DataError(record.job.title, reason, "Verify on a larger machine, or with another limit")
@@ -264,8 +265,7 @@ class _Here:
 
 def differences(record: Record, places: Sequence[int], answer: dict[str, Any]) -> Iterator[str]:
     """A line for each number of some views that is another than the recorded one."""
-    measure = record.measure
-    assert measure is not None
+    measure = _measured(record)
     for place, again in zip(places, answer["views"], strict=True):
         view = measure.views[place]
         if view.view != again["view"]:
@@ -276,6 +276,17 @@ def differences(record: Record, places: Sequence[int], answer: dict[str, Any]) -
                 yield f"view {view.view}: {name} is {_text(recorded)}, measured again {_text(value)}"
     if measure.primitives != answer["primitives"]:
         yield f"has {measure.primitives} primitives, decoded again {answer['primitives']}"
+
+
+def _measured(record: Record) -> MeasureResult:
+    result = record.of(MeasureResult)
+    assert result is not None
+    return result
+
+
+def _job(record: Record) -> Measure:
+    assert isinstance(record.job, Measure)
+    return record.job
 
 
 def _equal(name: str, recorded: float | None, value: float | None) -> bool:
@@ -291,8 +302,8 @@ def _text(value: float | None) -> str:
     return "none" if value is None else f"{value:.7g}"
 
 
-def _renderer(record: Record, split: str) -> str:
-    cost = record.views.cost.get(split, {}) if record.views is not None else {}
+def _renderer(views: ViewsResult, split: str) -> str:
+    cost = views.cost.get(split, {})
     return " ".join(str(cost[name]) for name in ("renderer", "version") if name in cost) or "another program"
 
 
@@ -327,7 +338,7 @@ def main(folder: Path) -> int:
     decode_here()
     request = json.loads((folder / _REQUEST).read_text(encoding="utf-8"))
     try:
-        answer = _measured(Store(folder.parent.parent, checked=True), folder, request)
+        answer = _again(Store(folder.parent.parent, checked=True), folder, request)
     except Refused as error:
         answer = {"refused": text_of(error)}
     except Exception as error:
@@ -336,7 +347,7 @@ def main(folder: Path) -> int:
     return 0
 
 
-def _measured(store: Store, folder: Path, request: dict[str, Any]) -> dict[str, Any]:
+def _again(store: Store, folder: Path, request: dict[str, Any]) -> dict[str, Any]:
     from econgs_bench.bench.jobs import answers
     from econgs_bench.bench.jobs.context import Context
     from econgs_bench.bench.jobs.measure import load_models
@@ -346,8 +357,8 @@ def _measured(store: Store, folder: Path, request: dict[str, Any]) -> dict[str, 
 
     record = store.record(request["job"])
     assert record is not None
-    job = record.job
-    spec = Registry(request["plugins"], lenient=True).spec(str(job.method))
+    job = _job(record)
+    spec = Registry(request["plugins"], lenient=True).spec(job.method)
     prepare_device(job.device, spec)
     report = Progress(folder / "progress.jsonl")
     context = Context(job, folder, store, spec, available_cores(), Stop(), report)
@@ -355,18 +366,14 @@ def _measured(store: Store, folder: Path, request: dict[str, Any]) -> dict[str, 
     units = stress_of(job.stress).get("units", 1.0)
     views = truth.views(job.split, request["views"])
     method, scenes = context.method(), list(job.rendered)
-    edit = edits_of(job.scenes, job.edit)
-    if job.recipe:
-        edit = {scene: one for name, text in job.recipe.items() for scene, one in edit_of(name, text).items()}
     folders = [context.path_of(one) / "model" for one in context.inputs("encode")]
     model = drawn_as(job, load_models(method, folders, job.device))
-    assert record.measure is not None
-    recorded = {name: job.metrics.get(name, "1") for name in record.measure.metrics}
+    recorded = {name: job.metrics.get(name, "1") for name in _measured(record).metrics}
     names = [name for name, version in recorded.items() if _is_todays(name, version)]
     rows, missing = [], {name: "its version here is another" for name in recorded if name not in names}
     for index, camera in enumerate(views.cameras):
         seen = camera_in_units(camera, units)
-        answer = model.render(seen, scenes=scenes, edit=edit, background=views.background)
+        answer = model.render(seen, scenes=scenes, edit=job.edits, background=views.background)
         rgb, alpha = answers.picture(answer, seen)
         values, reasons = evaluate(views.images[index], rgb, alpha, views.background, names)
         missing.update(reasons)

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any, Self
 
+from econgs_bench.bench.jobs.method import MethodJob
 from econgs_bench.bench.machine.provenance import imports_torch
 from econgs_bench.bench.run.limits import Limit, memory_reason, time_reason, used_memory
 from econgs_bench.bench.run.processes import Process, Processes, end_session
@@ -126,7 +127,7 @@ class Runner:
 
     def forks(self, job: Job) -> bool:
         """Whether a job is forked from the server: its method uses torch, on the CPU."""
-        if job.method is None or job.device != "cpu" or sys.platform != "linux":
+        if not isinstance(job, MethodJob) or job.device != "cpu" or sys.platform != "linux":
             return False
         return imports_torch(*self._registry.spec(job.method).source)
 

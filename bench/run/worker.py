@@ -16,19 +16,19 @@ import threading
 import time
 import traceback
 from contextlib import ExitStack
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from pydantic import ValidationError
 
+from econgs_bench.bench.jobs.method import MethodJob
 from econgs_bench.bench.jobs.monitor import Progress, Stop, Stopped
 from econgs_bench.bench.machine.device import prepare_device
 from econgs_bench.bench.machine.locks import holder, locked
 from econgs_bench.bench.machine.timing import peak_device_bytes
 from econgs_bench.bench.store.leases import BEAT, Held, Lease, Lost
 from econgs_bench.bench.store.progress import now, traces
-from econgs_bench.bench.store.records import Record, Status, Task
+from econgs_bench.bench.store.records import Record, Result, Status, Task
 from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.errors import DataError, text_of
 from econgs_bench.datasets.memory import peak_host_bytes
@@ -101,18 +101,19 @@ def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) ->
     started, start = now(), time.perf_counter()
     status: Status = "ok"
     reason: str | None = None
-    fields: dict[str, object] = {}
+    result: Result | None = None
     spec: MethodSpec | None = None
     context = None
+    device = job.device if isinstance(job, MethodJob) else "cpu"
     try:
         from econgs_bench.bench.jobs.context import Context
         from econgs_bench.methods.registry import Registry
 
-        if job.method is not None:
+        if isinstance(job, MethodJob):
             spec = Registry(task.plugins, lenient=True).spec(job.method)  # others may have gone meanwhile
-            prepare_device(job.device, spec)
+            prepare_device(device, spec)
         context = Context(job, folder, store, spec, task.threads, stop, report)
-        fields = {job.kind: import_module(f"econgs_bench.bench.jobs.{job.kind}").run(context)}
+        result = job.run(context)
     except Refused as error:
         status, reason = "refused", text_of(error)
     except Diverged as error:
@@ -136,16 +137,17 @@ def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) ->
         finished=now(),
         wall_seconds=time.perf_counter() - start,
         peak_host_bytes=(context.peak_host_bytes if context else None) or peak_host_bytes(),
-        peak_device_bytes=(context.peak_device_bytes if context else None) or peak_device_bytes(job.device),
-        provenance=provenance(task.threads, spec, job.device),
-        **(fields if status == "ok" else traces(folder)),  # type: ignore[arg-type]
+        peak_device_bytes=(context.peak_device_bytes if context else None) or peak_device_bytes(device),
+        provenance=provenance(task.threads, spec, device),
+        result=result,
+        **({} if status == "ok" else traces(folder)),
     )
     try:
         Record.model_validate_json(record.model_dump_json())
     except ValidationError as error:  # a number that is not finite, where there must be one
         wrong = error.errors()[0]
         words = f"its results cannot be stored: {'.'.join(map(str, wrong['loc']))}: {wrong['msg']}"
-        failed = {job.kind: None, "status": "failed", "reason": words, **traces(folder)}
+        failed = {"result": None, "status": "failed", "reason": words, **traces(folder)}
         record = record.model_copy(update=failed)
     return record
 

@@ -3,27 +3,45 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal, get_args
+import json
+from collections.abc import Iterable, Mapping
+from importlib import import_module
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializeAsAny,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    model_serializer,
+    model_validator,
+)
+
+from econgs_bench.datasets.hashes import hash_of
 
 SAMPLED = 100
 """Primitives of each scene whose attributes are recorded, unless a suite names another number."""
 SCHEMA = 3
 """Raised when a record of an older store could be misread."""
 READABLE = (2, SCHEMA)
-"""Schemas that :mod:`.bench.store.migration` reads."""
+"""Schemas that :meth:`Job.migrated` reads."""
 
 Kind = Literal["views", "dvr", "complexity", "partition", "fit", "encode", "measure"]
+KINDS = get_args(Kind)
+Row = dict[str, Any]
+"""Column -> value, of a table of :mod:`.reports.schema`."""
 Status = Literal["ok", "failed", "oom", "timeout", "diverged", "refused"]
 Whole = Annotated[int, Field(ge=-(2**63), lt=2**63)]
 Count = Annotated[int, Field(ge=0, lt=2**63)]
 Metrics = Annotated[dict[str, float | None], Field(max_length=100)]
 Value = bool | Whole | float | str
 Key = Annotated[str, Field(pattern="^[0-9a-f]{16}$")]
-"""Hash of an identity (:func:`.datasets.content.hash_of`): names of folders are made of it."""
-JobId = Annotated[str, Field(pattern=f"^({'|'.join(get_args(Kind))})-[0-9a-f]{{16}}$")]
+"""Hash of an identity (:func:`.datasets.hashes.hash_of`): names of folders are made of it."""
+JobId = Annotated[str, Field(pattern=f"^({'|'.join(KINDS)})-[0-9a-f]{{16}}$")]
 """Name of a job and of its folder."""
 PictureFile = Annotated[str, Field(pattern=r"^[^/\\\x00-\x1f]+\.png$")]
 """Name of a picture in the folder of its job."""
@@ -55,8 +73,22 @@ class Request(_Model):
         return self.model_dump(exclude={"samples"} if self.samples == 1 else None)
 
 
+class Result(_Model):
+    """What a finished job found out; each kind has a class of its own.
+
+    Attributes:
+        long: table -> field that takes much room and is in no other table.
+    """
+
+    long: ClassVar[Mapping[str, str]] = {}
+
+    def parts(self) -> Mapping[str, float]:
+        """Part of the job -> its seconds, of those that lie within the job's wall time."""
+        return {}
+
+
 class Job(_Model):
-    """One node of the job graph.
+    """One node of the job graph; each kind is a subclass in its own module of :mod:`.bench.jobs`.
 
     Attributes:
         key: hash of ``identity``, which holds everything that decides the result; the other fields are labels
@@ -66,20 +98,10 @@ class Job(_Model):
         composition: name of the composition that the scenes make up, "" for a basic scene.
         edit: change before rendering (views, measure), as "opacity=0.5"; of a composition, changes of its
             scenes in turn, as "opacity=0.5 | opacity=2".
-        recipe: scenes whose models are rendered together for a basic scene, and the edit of each, where a
-            method cannot make the edit (measure only); empty: it makes the edit.
         stress: harder conditions that decide the job (:mod:`.bench.suites.stress`), as "noise=8"; of measure,
             all that decide the jobs before it as well.
-        group: label of the scenes that were fitted together; labels of several groups (measure of a
-            composition) are joined by commas.
         needs: ids of the jobs that must be finished before this one.
-        metrics: metric name -> version (measure only).
-        overrides: options that differ from the preset's, with "iterations" and "configuration";
-            ``variant`` is their label.
-        knob: the rate knob among the overrides, "" if there is none.
-        cloud_points: points of the initial cloud.
-        sampled: number of primitives per scene whose attributes the record keeps (measure only).
-        prunable: whether to find out what the model could do without (measure only).
+        result_type: of its results.
     """
 
     kind: Kind
@@ -91,25 +113,29 @@ class Job(_Model):
     scenes: tuple[str, ...]
     composition: str = ""
     edit: str = ""
-    recipe: dict[str, str] = Field(default_factory=dict)
     stress: str = ""
-    group: str = ""
     request: Request
     split: Literal["test", "val"] = "test"
-    method: str | None = None
-    variant: str = ""
     preset: str
-    seed: Whole = 0
-    options: dict[str, Value] = Field(default_factory=dict)
-    overrides: dict[str, Value] = Field(default_factory=dict)
-    knob: str = ""
-    iterations: Count | None = None
-    rate: float | None = None
-    device: str = "cpu"
-    cloud_points: Count = 10_000
-    metrics: dict[str, str] = Field(default_factory=dict)
-    sampled: Count = SAMPLED
-    prunable: bool = False
+
+    result_type: ClassVar[type[Result]] = Result
+
+    @model_validator(mode="before")
+    @classmethod
+    def _own_fields(cls, data: Any) -> Any:
+        """Records of version 0.2 and before have the fields of all kinds in each job."""
+        if not isinstance(data, dict):
+            return data
+        return {
+            name: value for name, value in data.items() if name in cls.model_fields or name not in _FIELDS
+        }
+
+    @classmethod
+    def made(cls, identity: Mapping[str, Any], **fields: Any) -> Self:
+        """A job by what decides its result, and its other fields."""
+        kind = cls.model_fields["kind"].default
+        identity = {"kind": kind, **identity}
+        return cls(kind=kind, key=hash_of(identity), identity=identity, **fields)
 
     @property
     def id(self) -> str:
@@ -121,27 +147,103 @@ class Job(_Model):
         return self.composition or self.scenes[0]
 
     @property
-    def rendered(self) -> tuple[str, ...]:
-        """The scenes whose models are rendered together."""
-        return tuple(self.recipe) or self.scenes
-
-    @property
     def title(self) -> str:
         """Kind, scenes, method and settings, for people; of a measurement the scenes that it shows."""
-        group = self.group if self.kind != "measure" else ""
-        about = self.composition or group or "+".join(self.scenes)
-        parts = [self.kind, f"{self.dataset_name}/{about}"]
-        if self.edit:
-            parts.append(self.edit)
-        if self.stress:
-            parts.append(self.stress)
-        if self.method:
-            parts.append(self.method + (f"[{self.variant}]" if self.variant else ""))
-        if self.rate is not None:
-            parts.append(f"rate {self.rate:g}")
-        if self.method and self.seed:
-            parts.append(f"seed {self.seed}")
-        return " ".join(parts)
+        parts = [self.kind, f"{self.dataset_name}/{self._about}", self.edit, self.stress, *self._settings]
+        return " ".join(filter(None, parts))
+
+    @property
+    def _about(self) -> str:
+        return self.composition or "+".join(self.scenes)
+
+    @property
+    def _settings(self) -> list[str]:
+        return []
+
+    @property
+    def shown(self) -> Any:
+        """Hash of what a job that is a row of a table is about; None of other kinds."""
+        return None
+
+    @property
+    def cell(self) -> tuple[Any, ...]:
+        """What beside scenes and views tells the rows of a table apart."""
+        return ()
+
+    def axes(self) -> dict[str, Any]:
+        """Columns of the table `jobs` that follow from the job alone."""
+        return {
+            "step": self.kind,
+            "dataset": self.dataset_name,
+            "scene": f"{self.subject} {self.edit}".strip(),
+            "kind": "edited" if self.edit else "composed" if self.composition else "basic",
+            "edit": self.edit,
+            "stress": self.stress,
+            "members": json.dumps(self.scenes),
+            "group": "",
+            "method": None,
+            "variant": "",
+            "base": "",
+            "rate": None,
+            "preset": self.preset,
+            "split": self.split,
+            "seed": 0,
+            "requested_views": self.request.train_views,
+            "width": self.request.width,
+            "height": self.request.height,
+            "device": "cpu",
+        }
+
+    def run(self, context: Any) -> Result:
+        """Run the job (:class:`.bench.jobs.context.Context`)."""
+        raise NotImplementedError
+
+    def rows(self, record: Record, lineage: Any) -> Mapping[str, Iterable[Row]]:
+        """Table -> the rows of a record of this job, without the columns that all its rows share.
+
+        Args:
+            record: of this job, also a failed one.
+            lineage: the records beside it (:class:`.bench.store.lineage.Lineage`).
+        """
+        return {}
+
+    def migrated(self, record: Record) -> Record:
+        """A record of this job with what later versions of this program add."""
+        if record.schema_version == SCHEMA:
+            return record
+        return record.model_copy(update={"schema_version": SCHEMA})
+
+
+_FIELDS = {
+    "group", "recipe", "method", "variant", "seed", "options", "overrides", "knob", "iterations", "rate",
+    "device", "cloud_points", "metrics", "sampled", "prunable",
+}  # fmt: skip
+"""Fields that some kinds have."""
+
+
+def kind_of(name: str) -> type[Job]:
+    """The class of a kind of jobs: that of its name in the module of its name."""
+    found: type[Job] = getattr(import_module(f"econgs_bench.bench.jobs.{name}"), name.capitalize())
+    return found
+
+
+def _of_its_kind(value: Any, handler: ValidatorFunctionWrapHandler) -> Any:
+    name = value.get("kind") if isinstance(value, dict) else None
+    if not isinstance(name, str) or name not in KINDS:
+        return handler(value)
+    return _validated(kind_of(name), value)
+
+
+def _validated(model: type[BaseModel], value: Any) -> Any:
+    """A value of a model that is known only now; what is wrong with it is said in one line."""
+    try:
+        return model.model_validate(value)
+    except ValidationError as error:
+        wrong = error.errors()[0]
+        raise ValueError(": ".join([".".join(map(str, wrong["loc"])), wrong["msg"]])) from error
+
+
+AnyJob = Annotated[SerializeAsAny[Job], WrapValidator(_of_its_kind)]
 
 
 class Task(_Model):
@@ -152,7 +254,7 @@ class Task(_Model):
         replaces: when the record ended that this run of the job is to replace; "" for none.
     """
 
-    job: Job
+    job: AnyJob
     plugins: tuple[str, ...] = ()
     threads: Count
     alone: bool = True
@@ -214,43 +316,7 @@ class LossPoint(_Model):
     losses: dict[str, float]
 
 
-class ViewsResult(_Model):
-    """What :mod:`.bench.jobs.truth` stored.
-
-    Attributes:
-        view_keys: split -> content hash of its views.
-        truth: the measured split -> PNG file names, in the order of its cameras.
-        render_seconds: time that this job waited for the views.
-        cost: split -> cost of rendering its views (:attr:`.datasets.views.ViewSet.cost`), renderer and
-            version among it; empty for pre-rendered views.
-        distance: distance in [0, 1] of the transfer functions from those before the edit
-            (:func:`.datasets.unseen.transfer_distance`); None without an edit of them.
-        transfer: part -> its transfer function and isosurfaces (:func:`.bench.plan.inputs.transfer_summary`);
-            empty for pre-rendered views.
-        variable: what a basic scene shows; "" for others.
-        cloud_seconds: from the volume in memory to the candidates of initial clouds; None without a volume.
-        floor: metric -> what the truth itself reaches against the same views rendered with other, more rays
-            (:func:`.datasets.render_views.finer_views`), mean over some of the measured views; empty for
-            pre-rendered views and in older records.
-        one_ray: metric -> what one ray a pixel reaches against these.
-        floor_seconds: time that this took.
-    """
-
-    view_keys: dict[str, str]
-    background: tuple[float, float, float]
-    truth: dict[str, list[PictureFile]]
-    render_seconds: float
-    cost: dict[str, dict[str, Any]] = Field(default_factory=dict)
-    distance: float | None = None
-    transfer: dict[str, dict[str, list[list[float]]]] = Field(default_factory=dict)
-    variable: str = ""
-    cloud_seconds: float | None = None
-    floor: dict[str, float | None] = Field(default_factory=dict)
-    one_ray: dict[str, float | None] = Field(default_factory=dict)
-    floor_seconds: float | None = None
-
-
-class FrameTimes(_Model):
+class FrameTimes(Result):
     """Times of single frames over a path of cameras.
 
     Attributes:
@@ -275,85 +341,6 @@ class FrameTimes(_Model):
     ruler: Count | None = None
 
 
-class DvrResult(FrameTimes):
-    """Cost of direct volume rendering, view by view as an interactive viewer would draw.
-
-    Attributes:
-        dims: nx, ny, nz of the first variable.
-        volume_bytes: size of all variables in memory, as ``dtype``.
-        load_seconds: time to read the volumes.
-        setup_seconds: time from the volumes in memory to the first picture, compilation included.
-    """
-
-    dims: tuple[Count, Count, Count]
-    variables: list[str]
-    dtype: str
-    volume_bytes: Count
-    load_seconds: float
-    setup_seconds: float
-    renderer: str
-    version: str
-    backend: str
-
-
-class ComplexityResult(_Model):
-    """The volume of a scene as its transfer function shows it: 8-bit RGBA, coded without loss.
-
-    Attributes:
-        lossless_bytes: None for scenes of isosurfaces, which classify no volume.
-        coder: what coded it.
-    """
-
-    voxels: Count
-    lossless_bytes: Count | None
-    coder: str
-
-
-class PartitionResult(_Model):
-    """Groups of scenes, by name."""
-
-    groups: list[list[str]]
-    seconds: float
-
-
-class FitResult(_Model):
-    """A fit.
-
-    Attributes:
-        seconds: training clock, summed over resumes.
-        cpu_seconds: processor time of all threads; other work on the machine hardly changes it.
-        primitives: scene -> its primitives.
-        cloud_points: scene -> points of the initial cloud that the method was given; empty in older records.
-        resumed: number of resumes.
-        reference_seconds: mean of the reference kernel's times before and after; None without native core.
-        reference_worst: the longest of its times before, amid and after the fit; None in older records.
-    """
-
-    seconds: float
-    cpu_seconds: float | None = None
-    iterations: Count
-    primitives: dict[str, Count]
-    cloud_points: dict[str, Count] = Field(default_factory=dict)
-    train_views: Count
-    curve: list[CurvePoint]
-    losses: list[LossPoint] = Field(default_factory=list)
-    resumed: Count
-    reference_seconds: float | None
-    reference_worst: float | None = None
-
-
-class EncodeResult(_Model):
-    """A saved model.
-
-    Attributes:
-        ledger: scene ("" for what the group shares) -> part -> bytes; sums to ``total_bytes``.
-    """
-
-    seconds: float
-    total_bytes: Count
-    ledger: dict[str, dict[str, Whole]]
-
-
 class ViewResult(_Model):
     """Metrics of one view; a metric that cannot be computed is None."""
 
@@ -376,40 +363,6 @@ class PruningResult(_Model):
     shares: dict[str, float]
 
 
-class MeasureResult(FrameTimes):
-    """Measurements of the loaded model, by a process of their own.
-
-    Attributes:
-        missing: metric -> why it could not be computed.
-        flicker: see :class:`.bench.metrics.flicker.Flicker`; None where views are not neighbouring frames.
-        features: attribute -> rows of some primitives; empty if the method does not expose attributes.
-        pruning: None where the job does not ask for it, or the model tells no Gaussians apart.
-        drawn: Gaussians that are splatted in a test view, mean over a few; None of a model without Gaussians.
-        renderer: what rendered the truth; "" in older records.
-        sketch: of the truth's pictures (:func:`.bench.results.identity.sketch`); "" in older records.
-        decoding: when the model's networks make what is drawn: "once", as it is loaded, or "per frame"; ""
-            without such networks; None in older records.
-        frame_seconds_decoding: median over frames in which a model that is decoded once is decoded again.
-        parts_ruler: version of how the parts of a frame are timed (:data:`.bench.machine.timing.RULERS`).
-    """
-
-    load_seconds: float
-    timing: dict[str, float]
-    primitives: Count
-    metrics: Metrics
-    missing: dict[str, str]
-    views: list[ViewResult]
-    flicker: float | None = None
-    features: dict[str, list[list[float]]] = Field(default_factory=dict)
-    pruning: PruningResult | None = None
-    drawn: float | None = None
-    renderer: str = ""
-    sketch: str = ""
-    decoding: Literal["", "once", "per frame"] | None = None
-    frame_seconds_decoding: float | None = None
-    parts_ruler: Count | None = None
-
-
 class Record(_Model):
     """A finished job, also a failed one.
 
@@ -421,7 +374,7 @@ class Record(_Model):
     """
 
     schema_version: Count = SCHEMA
-    job: Job
+    job: AnyJob
     status: Status
     reason: str | None = None
     cause: JobId | None = None
@@ -434,17 +387,41 @@ class Record(_Model):
     peak_host_bytes: Count | None = None
     peak_device_bytes: Count | None = None
     provenance: Provenance | None = None
-    views: ViewsResult | None = None
-    dvr: DvrResult | None = None
-    complexity: ComplexityResult | None = None
-    partition: PartitionResult | None = None
-    fit: FitResult | None = None
-    encode: EncodeResult | None = None
-    measure: MeasureResult | None = None
+    result: SerializeAsAny[Result] | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _by_kind(cls, data: Any) -> Any:
+        """The result is stored under the name of its kind."""
+        if not isinstance(data, dict):
+            return data
+        job = data.get("job")
+        kind = job.kind if isinstance(job, Job) else job.get("kind") if isinstance(job, dict) else None
+        if not isinstance(kind, str) or kind not in KINDS:
+            return data
+        data = {name: value for name, value in data.items() if name not in KINDS or value is not None}
+        result = data.pop(kind, data.pop("result", None))
+        if result is not None:
+            own = kind_of(kind).result_type
+            data["result"] = result if isinstance(result, own) else _validated(own, result)
+        return data
+
+    @model_serializer(mode="wrap")
+    def _stored(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        data: dict[str, Any] = handler(self)
+        result = data.pop("result", None)
+        return data if result is None else {**data, self.job.kind: result}
 
     @property
     def ok(self) -> bool:
         return self.status == "ok"
+
+    def of(self, kind: type[R]) -> R | None:
+        """The result, if it is of this class."""
+        return self.result if isinstance(self.result, kind) else None
+
+
+R = TypeVar("R", bound=Result)
 
 
 def derived_seed(purpose: str, *axes: object) -> int:

@@ -24,7 +24,6 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from econgs_bench.bench.store.leases import Lease
-from econgs_bench.bench.store.migration import migrated
 from econgs_bench.bench.store.records import READABLE, SCHEMA, Record
 from econgs_bench.datasets.bounded import check_finite, json_of, number_of_values
 from econgs_bench.datasets.errors import DataError, printable
@@ -224,7 +223,8 @@ def read_record(path: Path) -> Record:
         if (values := number_of_values(text)) > MOST_VALUES:
             raise ValueError(f"{values} values, more than any has")
         check_finite(text)
-        record = migrated(Record.model_validate_json(text))
+        record = Record.model_validate_json(text)
+        record = record.job.migrated(record)
         if record.job.id != path.parent.name:
             raise ValueError(f"it is that of {record.job.id}")
         return record

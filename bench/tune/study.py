@@ -24,8 +24,8 @@ from econgs_bench.bench.results.tables import stored_tables
 from econgs_bench.bench.store.progress import now
 from econgs_bench.bench.store.records import Job, Record, Value, derived_seed
 from econgs_bench.bench.store.store import Store, write_text
-from econgs_bench.datasets.content import hash_of
 from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.hashes import hash_of
 from econgs_bench.datasets.names import unknown
 from econgs_bench.methods.interface import MethodSpec, Option, OptionValue
 from econgs_bench.methods.options import CONFIGURATION, ITERATIONS, declared, resolve, written

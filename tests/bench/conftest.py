@@ -15,10 +15,11 @@ import numpy as np
 import psutil
 import pytest
 
+from econgs_bench.bench.jobs.measure import MeasureResult
 from econgs_bench.bench.plan.planner import Planner
 from econgs_bench.bench.plan.selection import Selection
 from econgs_bench.bench.results.tables import build_tables
-from econgs_bench.bench.store.records import Job, MeasureResult, ViewResult
+from econgs_bench.bench.store.records import Job, ViewResult
 from econgs_bench.bench.store.store import Store
 from econgs_bench.bench.suites.suite import load_suite
 from econgs_bench.datasets.camera import Camera

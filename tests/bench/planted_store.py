@@ -10,20 +10,21 @@ from typing import Any
 
 import numpy as np
 
+from econgs_bench.bench.jobs.encode import EncodeResult
+from econgs_bench.bench.jobs.fit import FitResult
+from econgs_bench.bench.jobs.measure import MeasureResult
+from econgs_bench.bench.jobs.views import ViewsResult
 from econgs_bench.bench.store.records import (
+    KINDS,
     CurvePoint,
-    EncodeResult,
-    FitResult,
-    Job,
-    MeasureResult,
     Provenance,
     Record,
     Request,
     ViewResult,
-    ViewsResult,
+    kind_of,
 )
 from econgs_bench.bench.store.store import Store
-from econgs_bench.datasets.content import hash_of
+from econgs_bench.datasets.hashes import hash_of
 from econgs_bench.methods.interface import MethodSpec
 from econgs_bench.methods.options import resolve
 from econgs_bench.methods.registry import Registry
@@ -111,9 +112,10 @@ def _of(facts: Facts) -> Iterator[Record]:
     )  # fmt: skip
 
     def record(kind: str, identity: dict[str, Any], **said: Any) -> Record:
-        fields = {name: said.pop(name) for name in list(said) if name in Job.model_fields}
+        own = kind_of(kind)
+        fields = {name: said.pop(name) for name in list(said) if name not in KINDS}
         identity = {"kind": kind, **identity}
-        job = Job(kind=kind, key=hash_of(identity), identity=identity, **common, **fields)
+        job = own(kind=kind, key=hash_of(identity), identity=identity, **common, **fields)
         time = f"2026-11-0{1 if facts.content == 'c0' else 2}T00:00:00.000+00:00"
         return Record(
             job=job,

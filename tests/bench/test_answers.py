@@ -10,8 +10,9 @@ import torch
 
 from econgs_bench.bench.jobs import answers, views
 from econgs_bench.bench.jobs.monitor import Progress, Stop
+from econgs_bench.bench.jobs.views import ViewsResult
 from econgs_bench.bench.run import worker
-from econgs_bench.bench.store.records import Task, ViewsResult
+from econgs_bench.bench.store.records import Task
 from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.camera import Camera
 
@@ -77,7 +78,7 @@ def test_attributes_are_finite_rows() -> None:
 def test_a_number_that_no_record_holds_is_a_failure_that_names_it(tmp_path, monkeypatch) -> None:
     (job,) = [job for job in plan(suite_file(tmp_path, SMALL)) if job.kind == "views"][:1]
     result = ViewsResult(view_keys={}, background=(1.0, 1.0, 1.0), truth={}, render_seconds=math.nan)
-    monkeypatch.setattr(views, "run", lambda context: result)
+    monkeypatch.setattr(views.Views, "run", lambda job, context: result)
     store = Store(tmp_path / "runs", create=True)
     progress = Progress(tmp_path / "progress.jsonl")
     record = worker.run(Task(job=job, threads=1), tmp_path, store, Stop(), progress)

@@ -21,9 +21,9 @@ from econgs_bench.bench.commands.run import _state
 from econgs_bench.bench.run.display import Display
 from econgs_bench.bench.run.experiment import _announce
 from econgs_bench.bench.store.store import Store
-from econgs_bench.datasets.content import hash_of
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.ground_truth import probe
+from econgs_bench.datasets.hashes import hash_of
 from econgs_bench.datasets.png import read_png
 from econgs_bench.reports.comparability import replaced
 from tests.datasets.views_folder import random_views

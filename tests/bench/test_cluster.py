@@ -139,7 +139,7 @@ def test_ctrl_c_checkpoints_on_the_workers_and_any_executor_resumes(bench, clust
     (tmp_path / "go on").touch()
     bench.run(*options)
     (fit,) = bench.of_kind("fit")
-    assert fit.fit.resumed == 1
+    assert fit.result.resumed == 1
 
 
 def test_a_job_that_takes_its_workers_down_is_a_row(bench, cluster) -> None:

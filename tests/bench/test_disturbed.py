@@ -34,9 +34,11 @@ def six(bench, _six):
         quiet = {"reference_seconds": 0.1, "reference_worst": 0.1}
         even = {"frame_seconds": 0.01, "frame_seconds_p05": 0.01, "frame_seconds_p95": 0.01}
         for kind, changes in (("fit", quiet), ("measure", quiet | even)):
-            if (result := getattr(record, kind)) is not None:
-                changed = result.model_copy(update=changes)
-                rewrite(bench, record.model_copy(update={kind: changed, "finished": "2026-12-01T00:00:00"}))
+            if record.job.kind == kind:
+                changed = record.result.model_copy(update=changes)
+                rewrite(
+                    bench, record.model_copy(update={"result": changed, "finished": "2026-12-01T00:00:00"})
+                )
     assert disturbed_jobs(Store(bench.store).records()) == {}
     return bench
 
@@ -50,8 +52,8 @@ def rewrite(bench, record) -> None:
 def disturb(bench, kind: str, seed: int, **changes: float) -> str:
     """Lengthen times of a job; its id."""
     (record,) = [one for one in bench.of_kind(kind) if one.job.seed == seed]
-    result = getattr(record, kind).model_copy(update=changes)
-    rewrite(bench, record.model_copy(update={kind: result}))
+    result = record.result.model_copy(update=changes)
+    rewrite(bench, record.model_copy(update={"result": result}))
     return record.job.id
 
 
@@ -66,7 +68,7 @@ def test_disturbed_jobs_and_what_follows_from_them_run_again(six) -> None:
     fit = disturb(six, "fit", 3, reference_worst=0.2)
     before = six.records()
     assert disturbed_jobs(before.values()).keys() == {frames, amid, fit}
-    chain = {name for name, record in before.items() if record.job.seed == 3 and record.job.kind != "views"}
+    chain = {name for name, record in before.items() if record.job.axes()["seed"] == 3}
     assert len(chain) == 3
     assert to_measure_again(before.values()).keys() == {frames, amid, *chain}
     six.run(*SEEDS, "--retry")
@@ -94,7 +96,7 @@ def test_a_finished_job_is_not_lost_where_it_fails_again(six, tmp_path, executor
         pytest.importorskip("distributed")
     done = six.run(*SEEDS, "--retry", "busy", "--executor", executor)
     assert "a bug in the method" in done.stdout + done.stderr
-    chain = {name for name, record in before.items() if record.job.seed == 3 and record.job.kind != "views"}
+    chain = {name for name, record in before.items() if record.job.axes()["seed"] == 3}
     assert changed(six, before) == chain - {fit}
     assert six.records()[fit] == before[fit]
     assert all(record.ok for record in six.records().values())

@@ -7,9 +7,9 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from econgs_bench.bench.results.identity import FILES
-from econgs_bench.bench.results.lineage import Lineage
+from econgs_bench.bench.jobs.truth import FILES
 from econgs_bench.bench.results.tables import derived
+from econgs_bench.bench.store.lineage import Lineage
 from econgs_bench.bench.store.records import Record
 from econgs_bench.methods.registry import Registry
 from econgs_bench.reports.schema import METRICS
@@ -47,8 +47,8 @@ def test_the_table_of_floors_has_all_metrics_of_each_scene(records) -> None:
 def test_older_records_have_none(records) -> None:
     older = [
         one
-        if one.views is None
-        else one.model_copy(update={"views": one.views.model_copy(update={"floor": {}, "one_ray": {}})})
+        if one.job.kind != "views"
+        else one.model_copy(update={"result": one.result.model_copy(update={"floor": {}, "one_ray": {}})})
         for one in records
     ]
     found = tables(older)
@@ -69,18 +69,22 @@ def test_the_number_of_rays_is_that_of_every_job_behind_a_model() -> None:
 
 def test_pre_rendered_views_have_no_number_of_rays(records) -> None:
     elsewhere = every(lambda facts: replace(facts, samples=1, renderer=FILES))
-    rows = tables([one for one in elsewhere if one.job.method == METHODS[1] and one.measure])["results"]
+    measured = [one for one in elsewhere if one.job.kind == "measure" and one.job.method == METHODS[1]]
+    rows = tables(measured)["results"]
     assert rows["samples"].isna().all()
 
 
 @pytest.mark.parametrize(("dataset", "samples"), [("csafe_heptane", 1), ("vortex_views", None)])
 def test_without_a_record_of_the_views_the_catalogue_decides(records, dataset, samples) -> None:
     """As in bundles of models alone."""
-    measured = [one for one in every(lambda facts: replace(facts, samples=1)) if one.job.method == METHODS[1]]
+    every_one = every(lambda facts: replace(facts, samples=1))
+    measured = [one for one in every_one if one.job.axes()["method"] == METHODS[1]]
     stripped = []
     for one in measured:
         job = one.job.model_copy(update={"dataset": dataset, "dataset_name": dataset})
-        measure = one.measure and one.measure.model_copy(update={"renderer": "", "sketch": ""})
-        stripped.append(one.model_copy(update={"job": job, "measure": measure}))
+        result = one.result
+        if one.job.kind == "measure":
+            result = result.model_copy(update={"renderer": "", "sketch": ""})
+        stripped.append(one.model_copy(update={"job": job, "result": result}))
     found = {None if pd.isna(value) else value for value in tables(stripped)["jobs"]["samples"]}
     assert found == {samples}

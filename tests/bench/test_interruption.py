@@ -100,7 +100,7 @@ def test_ctrl_c_checkpoints_and_resumes(bench, hold, undisturbed, number) -> Non
     hold.let_go()
     hold.run(bench)
     (fit,) = bench.of_kind("fit")
-    assert fit.fit.resumed == 1
+    assert fit.result.resumed == 1
     assert _models(bench.store) == undisturbed[hold.method]
     assert not list((bench.store / "partial").iterdir())
 

@@ -10,9 +10,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from econgs_bench.bench.jobs import scene_views
 from econgs_bench.bench.jobs.scenes import scene_inputs
 from econgs_bench.bench.jobs.truth import Truth
-from econgs_bench.bench.plan import inputs
 from econgs_bench.bench.results.bundle import verify_bundle, write_bundle
 from econgs_bench.bench.results.rungs import rungs_of
 from econgs_bench.bench.store.records import Request
@@ -208,7 +208,7 @@ def truth(tmp_path_factory) -> Truth:
     data = open_dataset("argon_bubble_like@32")
     request = Request(train_views=42, test_views=4, width=16, height=16)
     folder = tmp_path_factory.mktemp("truth")
-    sets = {split: inputs.views(data, "shock", request, split) for split in ("trainval", "test")}
+    sets = {split: scene_views.views(data, "shock", request, split) for split in ("trainval", "test")}
     write_truth(folder, sets, data.scene("shock"), cloud_source(data, data.scene("shock")))
     return Truth(folder)
 
@@ -219,7 +219,7 @@ def given(truth: Truth, stress: str, needs_volume: bool = False):
         split="test", cloud_points=500, method="m",
     )  # fmt: skip
     spec = SimpleNamespace(needs_volume=needs_volume)
-    (scene,) = scene_inputs(SimpleNamespace(job=job, spec=spec, truth=lambda name: truth))
+    (scene,) = scene_inputs(job, SimpleNamespace(job=job, spec=spec, truth=lambda name: truth))
     return scene
 
 
@@ -248,12 +248,14 @@ def test_what_a_method_gets(truth) -> None:
 def test_truth_and_test_views_under_stress(truth) -> None:
     data = open_dataset("argon_bubble_like@32")
     request = Request(train_views=12, test_views=2, width=16, height=16)
-    usual = inputs.views(data, "shock", request, "test")
-    thin = inputs.views(inputs.stressed(data, "shock", "opacity=0.1 noise=3"), "shock", request, "test")
+    usual = scene_views.views(data, "shock", request, "test")
+    thin = scene_views.views(
+        scene_views.stressed(data, "shock", "opacity=0.1 noise=3"), "shock", request, "test"
+    )
     assert 0.0 < thin.images[..., 3].sum() < 0.5 * usual.images[..., 3].sum()
-    assert inputs.stressed(data, "shock", "noise=3 zoom=2") is data
+    assert scene_views.stressed(data, "shock", "noise=3 zoom=2") is data
     close, far, fine = (
-        inputs.views(data, "shock", request, "test", stress=text)
+        scene_views.views(data, "shock", request, "test", stress=text)
         for text in ("distance=0.3", "distance=3", "zoom=2")
     )
     ratio = np.linalg.norm(far.cameras[0].position) / np.linalg.norm(close.cameras[0].position)

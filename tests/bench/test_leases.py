@@ -12,9 +12,10 @@ from concurrent.futures import ThreadPoolExecutor
 import psutil
 import pytest
 
+from econgs_bench.bench.jobs.complexity import Complexity
 from econgs_bench.bench.store import leases
 from econgs_bench.bench.store.leases import EXPIRY, Held, Lease, Lost
-from econgs_bench.bench.store.records import Job, Record, Request
+from econgs_bench.bench.store.records import Record, Request
 from econgs_bench.bench.store.store import Store
 
 from .conftest import PATIENCE
@@ -154,8 +155,8 @@ def test_holders_take_turns(folder) -> None:
 
 def test_without_its_lease_a_record_is_not_put_in_place(tmp_path, monkeypatch) -> None:
     store = Store(tmp_path / "s", create=True)
-    job = Job(
-        kind="complexity", key="1" * 16, identity={}, dataset="d", dataset_name="d", scenes=("a",),
+    job = Complexity(
+        key="1" * 16, identity={}, dataset="d", dataset_name="d", scenes=("a",),
         preset="quick", request=Request(train_views=1, test_views=1, width=1, height=1),
     )  # fmt: skip
     record = Record(job=job, status="ok", started="", finished="", wall_seconds=1.0)

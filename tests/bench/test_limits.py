@@ -28,7 +28,6 @@ from econgs_bench.bench.run.limits import (
     used_memory,
 )
 from econgs_bench.bench.run.runner import Runner
-from econgs_bench.bench.store.migration import migrated
 from econgs_bench.bench.store.records import Record
 from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.seals import unsealed
@@ -45,7 +44,8 @@ def _records(bundle: Path) -> list[Record]:
     with zipfile.ZipFile(bundle) as archive:
         names = [name for name in archive.namelist() if name.endswith("record.json")]
         texts = [unsealed(archive.read(name).decode()) for name in names]
-        return [migrated(Record.model_validate_json(text)) for text in texts]
+        records = map(Record.model_validate_json, texts)
+        return [record.job.migrated(record) for record in records]
 
 
 class Shelf:
@@ -59,7 +59,7 @@ def test_no_recorded_job_would_have_been_ended_even_on_a_busy_machine(bundle) ->
     registry, alike = Registry(), defaultdict(list)
     for record in _records(bundle):
         if record.ok:
-            alike[record.job.kind, record.job.method, record.job.preset].append(record)
+            alike[record.job.kind, record.job.axes()["method"], record.job.preset].append(record)
     assert alike
     for (_, method, _), records in alike.items():
         spec = registry.spec(method) if method else None

@@ -179,8 +179,8 @@ def test_the_hash_alone_draws_models_and_views(bench, store):
     assert len(draws[0].models(records, 99)) == 5
 
     record = draws[0].models(records, 1)[0]
-    many = record.measure.views * 4
-    longer = record.model_copy(update={"measure": record.measure.model_copy(update={"views": many})})
+    many = record.result.views * 4
+    longer = record.model_copy(update={"result": record.result.model_copy(update={"views": many})})
     places = [draw.views(longer) for draw in draws]
     assert all(len(set(one)) == VIEWS and one == sorted(one) for one in places)
     assert len({tuple(one) for one in places}) > 10

@@ -105,10 +105,10 @@ def test_measuring_more_primitives_fits_nothing_again_and_stands_for_the_row(fin
 def test_quality_is_the_mean_over_all_views_of_unequal_error(finished) -> None:
     (measure,) = finished.of_kind("measure")
     for name in ("psnr", "delta_e_uv", "missing", "excess"):  # the pictures are too small for SSIM
-        values = [view.metrics[name] for view in measure.measure.views]
+        values = [view.metrics[name] for view in measure.result.views]
         assert len(values) == 4
-        assert measure.measure.metrics[name] == pytest.approx(sum(values) / 4, rel=1e-12)
-    assert len({view.metrics["psnr"] for view in measure.measure.views}) == 4
+        assert measure.result.metrics[name] == pytest.approx(sum(values) / 4, rel=1e-12)
+    assert len({view.metrics["psnr"] for view in measure.result.views}) == 4
 
 
 def test_times_have_their_reference_kernel_beside_them(finished) -> None:
@@ -123,7 +123,7 @@ def test_every_tenth_view_is_left_out_with_split_val(bench) -> None:
     assert row["split"] == "val"
     assert row["train_views"] == 11
     (measure,) = bench.of_kind("measure")
-    assert [view.view for view in measure.measure.views] == ["r_0009"]
+    assert [view.view for view in measure.result.views] == ["r_0009"]
 
 
 @pytest.mark.parametrize("method", ["fake", "fake-torch"])
@@ -218,13 +218,13 @@ def test_a_joint_method_is_partitioned_and_its_shares_sum(bench) -> None:
     bench.run(scenes=("a", "b", "c"), method="fake-joint")
     table = bench.tables()["results"].set_index("scene")
     assert list(table["group"]) == ["a+b", "a+b", "c"]
-    groups = {r.job.group: r.encode.total_bytes for r in bench.of_kind("encode")}
+    groups = {r.job.group: r.result.total_bytes for r in bench.of_kind("encode")}
     assert table["size_bytes"].sum() == sum(groups.values())
     assert table["group_bytes"].to_dict() == {"a": groups["a+b"], "b": groups["a+b"], "c": groups["c"]}
     own = {p.stem: p.stat().st_size for p in (bench.store / "jobs").glob("encode-*/model/*.json")}
     assert table["standalone_bytes"].to_dict() == {scene: size + 7 for scene, size in own.items()}
     (partition,) = bench.of_kind("partition")
-    spent = partition.partition.seconds
+    spent = partition.result.seconds
     spent += sum(r.fit.seconds for r in bench.of_kind("fit"))
     spent += sum(r.encode.seconds for r in bench.of_kind("encode"))
     assert table["train_seconds"].sum() == pytest.approx(spent)
@@ -273,7 +273,7 @@ def test_pictures_of_truth_and_model_can_be_scored(finished) -> None:
     (*images, mean) = json.loads(scored.stdout)
     assert [row["file"] for row in images] == [f"{i:04d}.png" for i in range(4)]
     # What the folders say is what the measure job said, but for one rounding more of the pictures.
-    assert mean["psnr"] == pytest.approx(measure.measure.metrics["psnr"], abs=0.1)
+    assert mean["psnr"] == pytest.approx(measure.result.metrics["psnr"], abs=0.1)
     unknown = bench(*common, "--runs", bench.store, "--model", "fit-nowhere", "--out", out / "x", code=2)
     assert "is no finished encode or measure job" in unknown.stderr
     edited = (*common, "--runs", bench.store, "--model", measure.job.id, "--edit", "a.palette=#0000ff")

@@ -102,7 +102,7 @@ def run_views(path, folder, **changes):
         if job.kind == "views":
             place = store.partial / job.id
             place.mkdir()
-            results.append(views_job.run(Context(job, place, store, None, 1, Stop(), lambda **state: None)))
+            results.append(job.run(Context(job, place, store, None, 1, Stop(), lambda **state: None)))
     return results
 
 

@@ -13,12 +13,15 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from econgs_bench.bench.jobs.costs import share
+from econgs_bench.bench.jobs.encode import Encode, EncodeResult
+from econgs_bench.bench.jobs.measure import Measure
 from econgs_bench.bench.results.comparison import compared
-from econgs_bench.bench.results.tables import build_tables, share, stored_tables
-from econgs_bench.bench.store.records import EncodeResult, Job, Record, Request, derived_seed
+from econgs_bench.bench.results.tables import build_tables, stored_tables
+from econgs_bench.bench.store.records import Record, Request, derived_seed
 from econgs_bench.bench.store.store import Store
-from econgs_bench.datasets.content import hash_of
 from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.hashes import hash_of
 from econgs_bench.methods.interface import check_ledger
 from econgs_bench.reports.schema import frame, joined, read_tables
 
@@ -26,8 +29,8 @@ from .conftest import Bench
 
 
 def _record(status: str = "ok", key: str = "0123" * 4, **changes) -> Record:
-    job = Job(
-        kind="encode", key=key, identity={}, dataset="d", dataset_name="d", scenes=("a", "b", "c"),
+    job = Encode(
+        key=key, identity={}, dataset="d", dataset_name="d", scenes=("a", "b", "c"),
         preset="quick", request=Request(train_views=1, test_views=1, width=1, height=1),
         group="a+b+c", method="m",
     )  # fmt: skip
@@ -183,10 +186,8 @@ def test_wrong_ledgers(ledger, words: str) -> None:
 
 def test_rows_stand_in_the_order_people_expect() -> None:
     def measured(scene: str, seed: int, rate: float | None) -> Record:
-        job = _record().job.model_copy(
-            update={"kind": "measure", "key": f"{scene}{seed}{rate}", "scenes": (scene,), "seed": seed,
-                    "rate": rate}
-        )  # fmt: skip
+        own = {"kind": "measure", "key": hash_of([scene, seed, rate]), "scenes": (scene,), "seed": seed}
+        job = Measure.model_validate(_record().job.model_dump() | own | {"rate": rate})
         return _record("failed", encode=None, job=job)
 
     rows = [("core", 0, None), ("jet", 2, None), ("jet", 10, None), ("tf2", 0, None), ("tf2", 0, 0.5),
@@ -251,7 +252,7 @@ def test_merge_joins_and_prefers_success(finished, tmp_path) -> None:
     shutil.copytree(bench.store, failed)
     store = Store(failed)
     (fit,) = [r for r in store.records() if r.job.kind == "fit"]
-    store.finish(fit.model_copy(update={"status": "failed", "reason": "elsewhere", "fit": None}))
+    store.finish(fit.model_copy(update={"status": "failed", "reason": "elsewhere", "result": None}))
 
     merged = tmp_path / "all"
     bench("merge", failed, bench.store, other.store, "--out", merged)

@@ -175,7 +175,7 @@ def test_jobs_of_one_sample_have_the_keys_of_before(toys, tmp_path, monkeypatch)
     chosen = replace(load_suite(suite_file(tmp_path, SMALL)), variants=({}, {"drawn-toy": {"samples": 16}}))
     selection = Selection(chosen, methods=("drawn-toy",), samples=1, plugins=(toys,))
     planned = Planner(selection, {"psnr": "1"}).jobs(None)
-    assert {(job.kind, job.scenes[0]): job.key for job in planned if not job.variant} == {
+    assert {(job.kind, job.scenes[0]): job.key for job in planned if not job.axes()["variant"]} == {
         ("views", "shock"): "cef49b33a101465b",
         ("views", "bubble"): "d4cac2b9b9c840f2",
         ("fit", "shock"): "d400cafd95758b17",
@@ -185,7 +185,9 @@ def test_jobs_of_one_sample_have_the_keys_of_before(toys, tmp_path, monkeypatch)
         ("measure", "shock"): "bfe03b01aa529392",
         ("measure", "bubble"): "e30f597ea0d3fa53",
     }
-    assert [(job.kind, job.variant) for job in planned if job.variant] == [("measure", "samples=16")] * 2
+    assert [(job.kind, job.variant) for job in planned if job.axes()["variant"]] == [
+        ("measure", "samples=16")
+    ] * 2
 
 
 @pytest.mark.parametrize(
@@ -311,10 +313,10 @@ def test_a_measurement_times_and_describes_the_model_that_it_draws(measured):
     assert record.ok, record.reason
     assert record.job.variant == "samples=16"
     assert of_kind(store, "fit").job.variant == ""
-    assert set(record.measure.timing) == {"frame", "rasterise", "average"}
-    assert record.measure.decoding == "once"  # it fails where frames with decoding have another size
-    assert record.measure.frame_seconds_decoding is not None
-    assert set(record.measure.features) == {"place"}
+    assert set(record.result.timing) == {"frame", "rasterise", "average"}
+    assert record.result.decoding == "once"  # it fails where frames with decoding have another size
+    assert record.result.frame_seconds_decoding is not None
+    assert set(record.result.features) == {"place"}
 
 
 def test_a_saved_model_renders_as_its_measurement(measured):
@@ -351,8 +353,8 @@ def test_both_drawings_of_one_model_are_rows_beside_each_other(measured, tmp_pat
     report = Report(runs.tables)
     assert {one.title for one in report.models} == {"drawn-toy", "drawn-toy [samples=16]"}
     assert list(report.of_defaults.results["variant"]) == [""]
-    records = [record for record in Store(runs.path).records() if record.measure is not None]
-    measurements = {record.job.variant: record.measure for record in records}
+    records = [record for record in Store(runs.path).records() if record.job.kind == "measure"]
+    measurements = {record.job.variant: record.result for record in records}
     for variant, row in rows.items():
         assert row["fps"] == pytest.approx(1.0 / measurements[variant].frame_seconds)
         assert row["psnr"] == pytest.approx(measurements[variant].metrics["psnr"])

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from econgs_bench.bench.results.tables import stored_tables
-from econgs_bench.bench.store.migration import migrated
 from econgs_bench.bench.store.records import SCHEMA, PruningResult, Record
 from econgs_bench.datasets.seals import unsealed
 from econgs_bench.methods.gaussian_splatting.spec import SPEC
@@ -73,7 +72,7 @@ def test_records_of_the_former_schema_have_their_settings(path):
         texts = [unsealed(archive.read(name).decode()) for name in names]
         records = [Record.model_validate_json(text) for text in texts]
     for record in records:
-        job = migrated(record).job
+        job = record.job.migrated(record).job
         assert label(job.overrides) == record.job.variant
         assert job.knob in (*job.overrides, "")
         assert bool(job.knob) == any(
@@ -86,16 +85,16 @@ def test_records_of_the_former_schema_have_their_settings(path):
 def test_a_record_of_this_schema_stays_as_it_is():
     record = version(1, 1)[0]
     assert record.schema_version == SCHEMA
-    assert migrated(record) is record
+    assert record.job.migrated(record) is record
 
 
 def test_what_could_go_is_in_the_results_of_models_that_were_asked(spec):
-    records = [one for one in fitted(spec, 1) if one.job.scenes == ("a",) or one.measure is None]
+    records = [one for one in fitted(spec, 1) if one.job.scenes == ("a",) or one.job.kind != "measure"]
     asked = PruningResult(gaussians=8, shares=dict.fromkeys(PRUNED, 0.5))
     plain, pruned = (
         joined(stored_tables(
-            one.model_copy(update={"measure": one.measure.model_copy(update={"pruning": pruning})})
-            if one.measure else one for one in records
+            one.model_copy(update={"result": one.result.model_copy(update={"pruning": pruning})})
+            if one.job.kind == "measure" else one for one in records
         ))["results"] for pruning in (None, asked)
     )  # fmt: skip
     columns = ["gaussians", *PRUNED]

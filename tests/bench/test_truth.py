@@ -11,7 +11,6 @@ import pandas as pd
 import pytest
 
 from econgs_bench.bench.jobs import scenes
-from econgs_bench.bench.jobs import views as views_job
 from econgs_bench.bench.jobs.context import Context
 from econgs_bench.bench.jobs.fit import read_volumes, refuse_without_volume
 from econgs_bench.bench.jobs.monitor import Stop
@@ -53,7 +52,7 @@ def test_a_fit_reads_what_was_rendered_bit_for_bit_and_opens_no_dataset(
 
     monkeypatch.setattr(scenes, "open_dataset", lambda name: Path("/nowhere").stat())
     context = Context(fit, tmp_path, store, None, 1, Stop(), lambda **state: None)
-    (scene,) = scenes.scene_inputs(context)
+    (scene,) = scenes.scene_inputs(context.job, context)
     assert scene.scene == dataset.scene("shock")
     train, other = (sets[name] for name in splits)
     np.testing.assert_array_equal(scene.train.images, train.images)
@@ -88,7 +87,7 @@ def test_each_seed_of_a_fit_has_an_initial_cloud_of_its_own(suite, tmp_path, mon
     for fit in (job for job in jobs if job.kind == "fit"):
         few = fit.model_copy(update={"cloud_points": 200})  # of some thousand candidates
         context = Context(few, tmp_path, store, None, 1, Stop(), lambda **state: None)
-        first, again = (scenes.scene_inputs(context)[0].cloud.points for _ in range(2))
+        first, again = (scenes.scene_inputs(context.job, context)[0].cloud.points for _ in range(2))
         np.testing.assert_array_equal(first, again)
         clouds[fit.seed] = {tuple(point) for point in first.tolist()}
     assert set(clouds) == {0, 1}
@@ -191,7 +190,7 @@ def test_a_renderer_that_comes_or_goes_between_two_jobs_changes_nothing(bench, s
     for record in measures:
         (fit,) = [fit for fit in bench.of_kind("fit") if fit.job.method == record.job.method]
         # The four views of the curve are those that are measured on: from one truth, so the same number.
-        assert fit.fit.curve[-1].psnr["shock"] == pytest.approx(record.measure.metrics["psnr"], abs=1e-9)
+        assert fit.result.curve[-1].psnr["shock"] == pytest.approx(record.result.metrics["psnr"], abs=1e-9)
 
 
 def test_the_views_of_a_basic_scene_tell_what_it_shows_and_how_long_its_cloud_took(
@@ -206,7 +205,7 @@ def test_the_views_of_a_basic_scene_tell_what_it_shows_and_how_long_its_cloud_to
         folder = store.partial / job.id
         folder.mkdir()
         context = Context(job, folder, store, None, 1, Stop(), lambda **state: None)
-        results[name] = views_job.run(context)
+        results[name] = job.run(context)
         record = Record(
             job=job, status="ok", started="2026", finished="2026", wall_seconds=0.0, views=results[name]
         )

@@ -16,10 +16,13 @@ from optuna._hypervolume import compute_hypervolume
 
 from econgs_bench.bench.__main__ import main
 from econgs_bench.bench.commands import tune as command_line
+from econgs_bench.bench.jobs.encode import EncodeResult
+from econgs_bench.bench.jobs.fit import FitResult
+from econgs_bench.bench.jobs.views import ViewsResult
 from econgs_bench.bench.plan.selection import Selection
 from econgs_bench.bench.results.tables import build_tables
 from econgs_bench.bench.store.progress import now
-from econgs_bench.bench.store.records import EncodeResult, FitResult, Job, Record, ViewsResult
+from econgs_bench.bench.store.records import Job, Record
 from econgs_bench.bench.store.store import Store
 from econgs_bench.bench.suites.suite import load_suite
 from econgs_bench.bench.tune import study as tune
@@ -85,21 +88,22 @@ class Lab:
 
     def _record(self, job: Job) -> Record:
         record = Record(job=job, status="ok", started=now(), finished=now(), wall_seconds=1.0)
-        bad = job.options.get("mood") == "bad" and not self.cured
+        options = getattr(job, "options", {})
+        bad = options.get("mood") == "bad" and not self.cured
         if bad:
             return record.model_copy(update={"status": "diverged", "reason": "it is in a bad mood"})
-        shift, rate = float(job.options.get("shift", 0.3)), job.rate or 3.0
+        shift, rate = float(options.get("shift", 0.3)), getattr(job, "rate", None) or 3.0
         if job.kind == "views":
-            record.views = ViewsResult(view_keys={}, background=(0, 0, 0), truth={}, render_seconds=1.0)
+            record.result = ViewsResult(view_keys={}, background=(0, 0, 0), truth={}, render_seconds=1.0)
         if job.kind == "fit":
-            record.fit = FitResult(seconds=1.0, iterations=1, primitives={}, train_views=1, curve=[],
+            record.result = FitResult(seconds=1.0, iterations=1, primitives={}, train_views=1, curve=[],
                                    resumed=0, reference_seconds=None)  # fmt: skip
         if job.kind == "encode":
-            total = int(int(job.options.get("length", 4000)) * rate)
+            total = int(int(options.get("length", 4000)) * rate)
             ledger = {job.scenes[0]: {"all": total}}
-            record.encode = EncodeResult(seconds=1.0, total_bytes=total, ledger=ledger)
+            record.result = EncodeResult(seconds=1.0, total_bytes=total, ledger=ledger)
         if job.kind == "measure":
-            record.measure = measured(30.0 - 40.0 * abs(shift - 0.3) + rate, 1)
+            record.result = measured(30.0 - 40.0 * abs(shift - 0.3) + rate, 1)
         return record
 
 

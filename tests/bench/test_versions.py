@@ -6,20 +6,14 @@ from dataclasses import dataclass, replace
 
 import pytest
 
+from econgs_bench.bench.jobs.encode import EncodeResult
+from econgs_bench.bench.jobs.fit import FitResult
+from econgs_bench.bench.jobs.partition import PartitionResult
 from econgs_bench.bench.results.tables import build_tables, stored_tables
 from econgs_bench.bench.results.versions import changes
-from econgs_bench.bench.store.records import (
-    CurvePoint,
-    EncodeResult,
-    FitResult,
-    Job,
-    PartitionResult,
-    Provenance,
-    Record,
-    Request,
-)
+from econgs_bench.bench.store.records import CurvePoint, Provenance, Record, Request, kind_of
 from econgs_bench.bench.store.store import Store
-from econgs_bench.datasets.content import hash_of
+from econgs_bench.datasets.hashes import hash_of
 from econgs_bench.methods.interface import MethodSpec, option
 from econgs_bench.reports.comparability import notes
 from econgs_bench.reports.style import label
@@ -46,10 +40,10 @@ def spec(version, **quick):
 
 def record(kind, identity, day, made_by="1", status="ok", **said):
     results = ("partition", "fit", "encode", "measure")
-    job_fields = {name: value for name, value in said.items() if name in Job.model_fields}
+    job_fields = {name: value for name, value in said.items() if name not in results}
     result = {name: value for name, value in said.items() if name in results and status == "ok"}
     identity = {"kind": kind, "method": ["m", made_by], **identity}
-    job = Job(
+    job = kind_of(kind)(
         kind=kind, key=hash_of(identity), identity=identity, dataset="d", dataset_name="d", request=REQUEST,
         preset="quick", method="m", **job_fields,
     )  # fmt: skip

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from econgs_bench.bench.plan.inputs import transfer_summary
+from econgs_bench.bench.jobs.scene_views import transfer_summary
 from econgs_bench.datasets.catalogue import open_dataset
 from econgs_bench.reports.page.document import write_report
 from econgs_bench.reports.pictures.transfer import transfer_picture
