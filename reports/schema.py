@@ -302,6 +302,8 @@ COLUMNS: dict[str, Column] = _declare(
            mib, "peak device memory"),
     Column("group_peak_host_bytes", _W, "peak host memory of the fit", "Memory of the fit", unit="bytes",
            write=mib),
+    Column("load_host_bytes", _W, "peak host memory of loading and decoding alone, the program included",
+           "Memory of loading", unit="bytes", write=mib),
     Column("render_host_bytes", _W, "peak host memory of loading and rendering alone, the program included",
            "Memory of rendering", unit="bytes", write=mib),
     Column("render_device_bytes", _W, "peak device memory of loading and rendering alone",
@@ -414,7 +416,8 @@ TABLES: dict[str, Table] = {
          "partition_seconds", "encode_seconds", "cpu_seconds", "load_seconds", "fps", "fps_p05", "fps_p95",
          "ruler", "parts_ruler", "decoding", "fps_decoding", "reference_seconds", "reference_worst",
          "fit_reference_seconds", "fit_reference_worst", "peak_host_bytes", "peak_device_bytes",
-         "group_peak_host_bytes", "render_host_bytes", "render_device_bytes", "gaussians", *PRUNED),
+         "group_peak_host_bytes", "load_host_bytes", "render_host_bytes", "render_device_bytes", "gaussians",
+         *PRUNED),
     ),
     "views": Table(
         "A measured view of a model.", _MEASURED,

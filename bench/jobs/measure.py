@@ -76,6 +76,7 @@ class MeasureResult(FrameTimes):
         sketch: of the truth's pictures (:func:`.bench.jobs.truth.sketch`); "" in older records.
         decoding: when the model's networks make what is drawn: "once", as it is loaded, or "per frame"; ""
             without such networks; None in older records.
+        load_host_bytes: peak memory of the process once the model is loaded; None in older records.
         frame_seconds_decoding: median over frames in which a model that is decoded once is decoded again.
         parts_ruler: version of how the parts of a frame are timed (:data:`.bench.machine.timing.RULERS`).
     """
@@ -83,6 +84,7 @@ class MeasureResult(FrameTimes):
     long: ClassVar[Mapping[str, str]] = {"features": "features"}
 
     load_seconds: float
+    load_host_bytes: Count | None = None
     timing: dict[str, float]
     primitives: Count
     metrics: Metrics
@@ -248,7 +250,7 @@ class Measure(MethodJob):
         start = time.perf_counter()
         model = load_models(method, [context.path_of(encode) / "model" for encode in encodes], self.device)
         synchronise(self.device)
-        load_seconds = time.perf_counter() - start
+        load_seconds, load_host_bytes = time.perf_counter() - start, peak_host_bytes()
         if absent := [scene for scene in scenes if scene not in model.scenes]:
             raise RuntimeError(f"the loaded model holds {list(model.scenes)}, not {', '.join(absent)}")
 
@@ -307,6 +309,7 @@ class Measure(MethodJob):
             context.report(stage="metrics", iteration=index + 1, iterations=len(cameras))
         return MeasureResult(
             load_seconds=load_seconds,
+            load_host_bytes=load_host_bytes,
             **frames.model_dump(),
             timing={"frame": frames.frame_seconds, **parts},
             decoding=decoding,
@@ -449,6 +452,7 @@ def _measured(measured: MeasureResult) -> Row:
     return row | {
         "primitives": measured.primitives,
         "load_seconds": measured.load_seconds,
+        "load_host_bytes": measured.load_host_bytes,
         "fps": 1.0 / measured.frame_seconds,
         "fps_p05": 1.0 / measured.frame_seconds_p95,
         "fps_p95": 1.0 / measured.frame_seconds_p05,

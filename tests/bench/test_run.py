@@ -117,6 +117,11 @@ def test_times_have_their_reference_kernel_beside_them(finished) -> None:
     assert row["fit_reference_seconds"] > 0
 
 
+def test_memory_of_loading_is_part_of_that_of_rendering(finished) -> None:
+    (row,) = finished.tables()["results"].to_dict("records")
+    assert 2**24 < row["load_host_bytes"] <= row["render_host_bytes"]
+
+
 def test_every_tenth_view_is_left_out_with_split_val(bench) -> None:
     bench.run("--split", "val")
     (row,) = bench.tables()["results"].to_dict("records")
