@@ -9,11 +9,13 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from econgs_bench.datasets.errors import DataError
 
-M = TypeVar("M", bound=BaseModel)
+M = TypeVar("M")
+_UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
+"""Types of pydantic's error for a key that a model, or a dataclass, does not have."""
 
 
 def read_toml(path: Path, schema: type[M], remedy: str, keys: Collection[str] = ()) -> M:
@@ -21,7 +23,7 @@ def read_toml(path: Path, schema: type[M], remedy: str, keys: Collection[str] = 
 
     Args:
         path: the file.
-        schema: of its content.
+        schema: of its content: a class of pydantic, validated with the path as context.
         remedy: what to do about a file that is none.
         keys: known keys, of which the nearest is proposed for one that is unknown.
 
@@ -39,12 +41,12 @@ def read_toml(path: Path, schema: type[M], remedy: str, keys: Collection[str] = 
     except RecursionError as error:
         raise DataError(path, "is nested too deeply", remedy) from error
     try:
-        return schema.model_validate(table)
+        return TypeAdapter(schema).validate_python(table, context={"path": path})
     except ValidationError as error:
         # An unknown key first: what a misspelt key leaves missing would mislead.
-        first, *others = sorted(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
+        first, *others = sorted(error.errors(), key=lambda each: each["type"] not in _UNKNOWN)
         reason = first["msg"].removeprefix("Value error, ")
-        if first["type"] == "extra_forbidden":
+        if first["type"] in _UNKNOWN:
             near = get_close_matches(str(first["loc"][-1]), keys, n=1)
             reason = "unknown key" + "".join(f", perhaps {name}" for name in near)
         name = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"])

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, StrictBool, ValidationInfo
+from pydantic.dataclasses import dataclass
 
 from econgs_bench.bench.store.records import SAMPLED
 from econgs_bench.bench.suites.edits import edit_of
@@ -19,7 +20,15 @@ from econgs_bench.datasets.toml import read_toml
 FOLDER = Path(__file__).parent
 
 
-@dataclass(frozen=True)
+Count = Annotated[int, Field(strict=True, ge=1)]
+Pixels = Annotated[int, Field(strict=True, ge=1, le=16_384)]
+Views = Annotated[int, Field(strict=True, ge=1, le=100_000)]
+# NumPy takes no other seeds.
+Seed = Annotated[int, Field(strict=True, ge=0, lt=2**32)]
+_CONFIG = ConfigDict(extra="forbid", hide_input_in_errors=True)
+
+
+@dataclass(frozen=True, config=_CONFIG)
 class ViewPreset:
     """Views of a preset.
 
@@ -34,14 +43,14 @@ class ViewPreset:
         budget: share of the iterations that methods take, unless they are set.
     """
 
-    train_views: int
-    test_views: int
-    width: int
-    height: int
-    prerendered_limit: int
-    cloud_points: int = 10_000
+    train_views: Views
+    test_views: Views
+    width: Pixels
+    height: Pixels
+    prerendered_limit: Annotated[int, Field(strict=True, ge=1)]
+    cloud_points: Annotated[int, Field(strict=True, ge=1, le=100_000_000)] = 10_000
     like: str = ""
-    budget: float = 1.0
+    budget: Annotated[float, Field(strict=True, gt=0.0, le=1.0)] = 1.0
 
 
 VIEWS = {
@@ -52,22 +61,15 @@ VIEWS = {
 """Presets of every suite, unless it declares its own of that name; "paper" is the published protocol."""
 
 
-Count = Annotated[int, Field(ge=1)]
-Pixels = Annotated[int, Field(ge=1, le=16_384)]
-Views = Annotated[int, Field(ge=1, le=100_000)]
-# NumPy takes no other seeds.
-Seed = Annotated[int, Field(ge=0, lt=2**32)]
-
-
 def _names(value: Any) -> tuple[str, ...]:
-    if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
+    if not isinstance(value, list | tuple) or not all(isinstance(name, str) for name in value):
         raise ValueError("is no list of names")
     return tuple(value)
 
 
 def _choices(value: Any) -> tuple[tuple[str, ...], ...]:
     """A list of names is one choice of scenes, a list of lists several."""
-    several = isinstance(value, list) and [one for one in value if isinstance(one, list)]
+    several = isinstance(value, list | tuple) and [one for one in value if isinstance(one, list | tuple)]
     if several and len(several) < len(value):
         raise ValueError("scenes are names, or lists of names, not both")
     return tuple(map(_names, several)) if several else (_names(value),)
@@ -81,57 +83,24 @@ def _compositions(value: Any) -> Literal["all"] | tuple[str, ...]:
     return _names(value)
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, hide_input_in_errors=True)
+def _ladders(value: Any, info: ValidationInfo) -> Any:
+    """Ladders as they are, or from a file's tables."""
+    if not isinstance(value, list):
+        return value
+    path = (info.context or {}).get("path", "suite")
+    try:
+        return tuple(ladder_of(table, str(path)) for table in value)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        reason = f"ladders: {type(error).__name__}: {error}"
+        raise DataError(path, reason, "See bench/suites/stability.toml") from error
 
 
-class _Views(_Part):
-    """A preset of a suite file (:class:`ViewPreset`)."""
-
-    train_views: Views
-    test_views: Views
-    width: Pixels
-    height: Pixels
-    prerendered_limit: Pixels
-    cloud_points: Annotated[int, Field(ge=1, le=100_000_000)] = 10_000
-    like: str = ""
-    budget: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
-
-
-class _File(_Part):
-    """A suite file (:class:`Suite`)."""
-
-    title: str
-    datasets: Annotated[dict[str, Annotated[Any, AfterValidator(_choices)]], Field(min_length=1)]
-    methods: list[str] = []
-    optional: list[str] = []
-    seeds: Annotated[list[Seed], Field(min_length=1)] = [0]
-    preset: str
-    presets: dict[str, _Views] = {}
-    variants: Annotated[list[dict[str, dict[str, Any]]], Field(min_length=1)] = [{}]
-    rates: Literal["default", "all"] = "default"
-    lengths: list[Annotated[float, Field(gt=0.0)]] = []
-    compositions: Annotated[Any, AfterValidator(_compositions)] = ()
-    dvr: bool = False
-    parsimony: bool = False
-    stand_ins: dict[str, str] = {}
-    train_views: list[Views] = []
-    edits: list[str] = []
-    chains: list[str] = []
-    sampled: Count = SAMPLED
-    ladders: list[dict[str, Any]] = []
-    repeats: list[Seed] = []
-    threads: Count | None = None
-
-
-_KEYS = (*_File.model_fields, *_Views.model_fields)
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=_CONFIG)
 class Suite:
     """The content of a suite file.
 
     Attributes:
+        name: of the file, without its suffix; no key of it.
         datasets: dataset name -> choices of scenes that run together: names of scenes, or of compositions
             with their scenes (empty: all scenes).
         stand_ins: dataset -> the procedural one that takes its place where its data are missing; "": none,
@@ -140,8 +109,8 @@ class Suite:
         methods: names. Methods in ``optional`` run where they are registered.
         compositions: compositions of the scenes that are measured: names, "all", or none.
         dvr: time direct volume rendering of each scene, and its memory.
-        parsimony: find out how many bytes the classified volume of each scene takes without loss, and what
-            each model of the usual rate could do without.
+        parsimony: measure the lossless size of each classified volume, and how many Gaussians each default
+            model can drop.
         variants: sets of options, method -> option -> value; {} is the presets' own.
         rates: "default" (each method's own size) or "all" (the rate knobs' values).
         lengths: shares of a method's iterations that it is fitted with besides, each a whole schedule; a fit
@@ -157,28 +126,28 @@ class Suite:
         threads: most threads of a job, so that results do not depend on the number of cores; None: all cores.
     """
 
-    name: str
     title: str
-    datasets: Mapping[str, tuple[tuple[str, ...], ...]]
-    methods: tuple[str, ...]
-    optional: tuple[str, ...]
-    seeds: tuple[int, ...]
+    datasets: Annotated[Mapping[str, Annotated[Any, AfterValidator(_choices)]], Field(min_length=1)]
     preset: str
-    presets: Mapping[str, ViewPreset]
-    variants: tuple[Mapping[str, Mapping[str, Any]], ...] = field(default=({},))
-    rates: str = "default"
-    lengths: tuple[float, ...] = ()
-    compositions: Literal["all"] | tuple[str, ...] = ()
-    dvr: bool = False
-    parsimony: bool = False
+    methods: tuple[str, ...] = ()
+    optional: tuple[str, ...] = ()
+    seeds: Annotated[tuple[Seed, ...], Field(min_length=1)] = (0,)
+    presets: Mapping[str, ViewPreset] = field(default_factory=dict)
+    variants: Annotated[tuple[Mapping[str, Mapping[str, Any]], ...], Field(min_length=1)] = ({},)
+    rates: Literal["default", "all"] = "default"
+    lengths: tuple[Annotated[float, Field(strict=True, gt=0.0)], ...] = ()
+    compositions: Annotated[Any, AfterValidator(_compositions)] = ()
+    dvr: StrictBool = False
+    parsimony: StrictBool = False
     stand_ins: Mapping[str, str] = field(default_factory=dict)
-    train_views: tuple[int, ...] = ()
+    train_views: tuple[Views, ...] = ()
     edits: tuple[str, ...] = ()
     chains: tuple[str, ...] = ()
-    sampled: int = SAMPLED
-    ladders: tuple[Ladder, ...] = ()
-    repeats: tuple[int, ...] = ()
-    threads: int | None = None
+    sampled: Count = SAMPLED
+    ladders: Annotated[tuple[Ladder, ...], BeforeValidator(_ladders)] = ()
+    repeats: tuple[Seed, ...] = ()
+    threads: Count | None = None
+    name: str = ""
 
     def present(self, available: Collection[str]) -> dict[str, tuple[tuple[str, ...], ...]]:
         """The datasets to run where those ``available`` have data: stand-ins take the places of others."""
@@ -188,6 +157,9 @@ class Suite:
             if source:
                 datasets.setdefault(source, scenes)
         return datasets
+
+
+_KEYS = [key.name for one in (Suite, ViewPreset) for key in fields(one) if key.name != "name"]
 
 
 def names() -> list[str]:
@@ -207,40 +179,16 @@ def load_suite(name: str) -> Suite:
         if name.endswith(".toml"):
             raise DataError(path, "no such file", "Name a suite of `bench list suites`, or a TOML file")
         raise unknown("suite", name, names())
-    return _parse(path, read_toml(path, _File, "See bench/suites/quick.toml", _KEYS))
+    suite = read_toml(path, Suite, "See bench/suites/quick.toml", _KEYS)
+    if suite.name:
+        raise DataError(path, "unknown key name", "The file's own name is that of the suite")
+    suite = replace(suite, name=path.stem, presets={**VIEWS, **suite.presets})
+    _check(path, suite)
+    return suite
 
 
-def _parse(path: Path, file: _File) -> Suite:
-    presets = {name: ViewPreset(**table.model_dump()) for name, table in file.presets.items()}
-    try:
-        ladders = tuple(ladder_of(table, str(path)) for table in file.ladders)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        reason = f"ladders: {type(error).__name__}: {error}"
-        raise DataError(path, reason, "See bench/suites/stability.toml") from error
-    suite = Suite(
-        name=path.stem,
-        title=file.title,
-        datasets=file.datasets,
-        methods=tuple(file.methods),
-        optional=tuple(file.optional),
-        seeds=tuple(file.seeds),
-        preset=file.preset,
-        presets={**VIEWS, **presets},
-        variants=tuple(file.variants),
-        rates=file.rates,
-        lengths=tuple(file.lengths),
-        compositions=file.compositions,
-        dvr=file.dvr,
-        parsimony=file.parsimony,
-        stand_ins=file.stand_ins,
-        train_views=tuple(file.train_views),
-        edits=tuple(file.edits),
-        chains=tuple(file.chains),
-        sampled=file.sampled,
-        ladders=ladders,
-        repeats=tuple(file.repeats),
-        threads=file.threads,
-    )
+def _check(path: Path, suite: Suite) -> None:
+    """What keys say about each other."""
     for name in suite.stand_ins:
         if name not in suite.datasets:
             raise unknown("dataset", name, suite.datasets, of=f"{path} (stand_ins)")
@@ -262,4 +210,3 @@ def _parse(path: Path, file: _File) -> Suite:
         raise DataError(path, "two ladders have one name", "Give each a name of its own")
     if not suite.methods and not suite.dvr:
         raise DataError(path, "has nothing to run", "Name methods, or write dvr = true")
-    return suite
