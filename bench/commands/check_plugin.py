@@ -4,19 +4,31 @@ from __future__ import annotations
 
 import sys
 import tempfile
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from textwrap import indent
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from econgs_bench.methods.contract.checks import Outcome
+    from econgs_bench.bench.commands.arguments import add_device, add_plugins, count, repeatable
+from econgs_bench.methods.contract.checks import Outcome
 
 FAULTS = {
     "plugin": "the plugin's code",
     "harness": "the harness: please report it, with the output of --debug",
     "machine": "the machine: memory, disk or open files ran out, or the process was killed",
 }
+
+
+def check_plugin_arguments(parser: ArgumentParser) -> None:
+    """What ``bench check-plugin`` takes."""
+    add_plugins(parser)
+    parser.add_argument("method", metavar="METHOD")
+    parser.add_argument(
+        "--iterations", type=count, default=60, metavar="N", help="of each of its fits (default: 60)"
+    )
+    repeatable(parser, "--set", metavar="OPTION=VALUE", help="differing from the preset quick")
+    add_device(parser)
 
 
 def check_plugin(options: Namespace) -> int:

@@ -6,10 +6,12 @@ import os
 import platform
 import shutil
 import sys
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+
+from econgs_bench.bench.commands.arguments import add_plugins
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,11 @@ class Finding:
     verdict: str
     detail: str
     remedy: str = ""
+
+
+def doctor_arguments(parser: ArgumentParser) -> None:
+    """What ``bench doctor`` takes."""
+    add_plugins(parser)
 
 
 def doctor(options: Namespace) -> int:

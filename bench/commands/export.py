@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from econgs_bench.bench.commands.arguments import add_device, add_runs, add_stored, iterations
 from econgs_bench.bench.run.plugins import plugin_folders
 from econgs_bench.bench.saved import load, picture
 from econgs_bench.bench.store.store import Store
@@ -25,6 +26,23 @@ if TYPE_CHECKING:
 FORMATS = ("ply", "spz", "sog", "glb")
 _MEASURED = 8
 """Test views on which the cost is measured."""
+
+
+def export_arguments(parser: ArgumentParser) -> None:
+    """What ``bench export`` takes."""
+    add_stored(parser)
+    add_runs(parser)
+    parser.add_argument("model", metavar="JOB", help="an encode or measure job of --runs")
+    parser.add_argument("--out", required=True, metavar="FILE", help="the file to write")
+    parser.add_argument(
+        "--format", choices=("ply", "spz", "sog", "glb"), help="default: as the suffix of --out says"
+    )
+    parser.add_argument("--scene", help="which, if the model holds several")
+    parser.add_argument(
+        "--distil", type=iterations, default=1_000, metavar="N",
+        help="iterations against the model's own pictures, where it has to be baked; 0: none (default: 1000)",
+    )  # fmt: skip
+    add_device(parser)
 
 
 def export(options: Namespace) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -36,6 +36,12 @@ class Request:
     acknowledgement: str = ""
     state: str = ""
     source: str = ""
+
+
+def fetch_arguments(parser: ArgumentParser) -> None:
+    """What ``bench fetch`` takes."""
+    parser.add_argument("names", nargs="+", metavar="NAME", help="a dataset, a TOML file of yours, or lpips")
+    parser.add_argument("--out", metavar="DIR", help="default: the user's data folder, which is searched")
 
 
 def fetch(options: Namespace) -> int:

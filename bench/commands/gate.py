@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 import sys
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -14,6 +14,13 @@ from econgs_bench.datasets.errors import DataError
 
 ERROR = 3
 """Exit code of a baseline or store that cannot be read, or of files that cannot be written."""
+
+
+def baseline_arguments(parser: ArgumentParser) -> None:
+    """What ``bench baseline`` takes."""
+    parser.add_argument("store", nargs="?", default="runs", metavar="STORE", help="default: runs")
+    parser.add_argument("--out", required=True, metavar="FILE", help="the baseline, new or to update")
+    parser.add_argument("--reason", required=True, help="why its results are what is expected from now on")
 
 
 def baseline(options: Namespace) -> int:
@@ -61,6 +68,22 @@ def baseline(options: Namespace) -> int:
         + (f"; without {counted(busy, 'time')} of a disturbed clock" if busy else "")
     )
     return 0
+
+
+def gate_arguments(parser: ArgumentParser) -> None:
+    """What ``bench gate`` takes."""
+    parser.add_argument("store", nargs="?", default="runs", metavar="STORE", help="default: runs")
+    parser.add_argument("--baseline", required=True, metavar="FILE", help="that `bench baseline` wrote")
+    parser.add_argument(
+        "--without-times", action="store_true", help="ask for no times: quality and sizes alone"
+    )
+    parser.add_argument(
+        "--power",
+        action="store_true",
+        help="print the smallest losses that the baseline shows, without a run",
+    )
+    parser.add_argument("--markdown", metavar="FILE", help="write a summary for a comment on a change")
+    parser.add_argument("--junit", metavar="FILE", help="write the summary as JUnit's XML")
 
 
 def gate(options: Namespace) -> int:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import sys
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Iterable
 from pathlib import Path
 
+from econgs_bench.bench.commands.arguments import add_plugins
 from econgs_bench.reports.tables.grid import Field, to_lines
 from econgs_bench.reports.terminal import line_width
 
@@ -17,6 +18,12 @@ HEADS = {
     "metrics": ("Name", "Version", "Unit", "Better"),
 }
 WRAPS = ("Title", "From")
+
+
+def list_names_arguments(parser: ArgumentParser) -> None:
+    """What ``bench list`` takes."""
+    add_plugins(parser)
+    parser.add_argument("what", choices=("methods", "datasets", "suites", "metrics"))
 
 
 def list_names(options: Namespace) -> int:

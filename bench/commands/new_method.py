@@ -8,10 +8,18 @@ import os
 import shutil
 import sys
 import uuid
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from econgs_bench.datasets.errors import DataError
+
+
+def new_method_arguments(parser: ArgumentParser) -> None:
+    """What ``bench new-method`` takes."""
+    parser.add_argument("name", metavar="NAME", help="its name: lower-case letters, digits, -")
+    parser.add_argument(
+        "--out", default=".", metavar="DIR", help="where its folder goes (default: the present folder)"
+    )
 
 
 def new_method(options: Namespace) -> int:

@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import sys
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from econgs_bench.bench.commands.arguments import (
+    FORMATS,
+    add_device,
+    add_runs,
+    add_samples,
+    add_stored,
+    count,
+    repeatable,
+    size,
+)
 from econgs_bench.bench.jobs.measure import premultiplied
 from econgs_bench.bench.run.plugins import plugin_folders
 from econgs_bench.bench.saved import load, picture
@@ -18,6 +28,45 @@ from econgs_bench.reports.progress import step
 
 if TYPE_CHECKING:
     from econgs_bench.methods.interface import Model
+
+
+def render_arguments(parser: ArgumentParser) -> None:
+    """What ``bench render`` takes."""
+    add_stored(parser)
+    add_runs(parser)
+    parser.add_argument(
+        "dataset", nargs="*",
+        help="name in the catalogue, or a path; contact sheets: default all that are here",
+    )  # fmt: skip
+    repeatable(parser, "--scene", help="only this scene")
+    parser.add_argument(
+        "--views", type=count, help="number of views on the test path (default: 8; contact sheets: 3)"
+    )
+    parser.add_argument(
+        "--size",
+        type=size,
+        metavar="WxH",
+        help="pixels (default: 256, of pre-rendered views their own; contact sheets: 140)",
+    )
+    parser.add_argument(
+        "--contact-sheet", action="store_true",
+        help="one picture per dataset: small views of all scenes, with transfer functions over histograms",
+    )  # fmt: skip
+    parser.add_argument(
+        "--automatic", action="store_true", help="contact sheets: the automatic transfer functions too"
+    )
+    parser.add_argument("--out", default="pictures", metavar="DIR", help="default: pictures")
+    parser.add_argument("--model", metavar="JOB", help="an encode or measure job of --runs: render its model")
+    repeatable(
+        parser, "--edit", metavar="SCENE.WHAT=VALUE",
+        help="show it edited: palette=#ff8800, light=headlight or x,y,z, or a factor: opacity, ambient, "
+        "diffuse, specular, shininess",
+    )  # fmt: skip
+    parser.add_argument(
+        "--truth", action="store_true", help="with --model: the ground truth beside, and PSNR"
+    )
+    add_samples(parser)
+    add_device(parser)
 
 
 def render(options: Namespace) -> int:
@@ -113,6 +162,13 @@ def _model(options: Namespace) -> tuple[Model, tuple[str, ...]]:
     record = store.record(options.model)
     composition = record.job.composition if record is not None else ""
     return model, (composition,) if composition else scenes
+
+
+def score_arguments(parser: ArgumentParser) -> None:
+    """What ``bench score`` takes."""
+    parser.add_argument("renders", metavar="RENDERS")
+    parser.add_argument("truth", metavar="TRUTH")
+    parser.add_argument("--format", choices=FORMATS, default="csv")
 
 
 def score(options: Namespace) -> int:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import sys
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
+from econgs_bench.bench.commands.arguments import FORMATS, add_runs, add_stored
 from econgs_bench.bench.results.tables import build_tables
 from econgs_bench.bench.run.plugins import plugin_folders
 from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.reports.progress import step
+from econgs_bench.reports.schema import TABLES
 from econgs_bench.reports.terminal import line_width, print_prose
 from econgs_bench.reports.text import one_line
 
@@ -24,6 +26,17 @@ if TYPE_CHECKING:
     from econgs_bench.methods.interface import MethodSpec
     from econgs_bench.reports.charts.report import Report
     from econgs_bench.reports.tables.grid import Field
+
+
+def results_arguments(parser: ArgumentParser) -> None:
+    """What ``bench results`` takes."""
+    add_stored(parser)
+    add_runs(parser)
+    parser.add_argument("--table", choices=TABLES, default="results", help="default: results")
+    parser.add_argument(
+        "--format", choices=FORMATS,
+        help="all columns; default: a table of those that fit into the terminal, with the jobs",
+    )  # fmt: skip
 
 
 def results(options: Namespace) -> int:
@@ -46,6 +59,22 @@ def results(options: Namespace) -> int:
         found = notes(tables["results"], tables["superseded"])
         _print_differences(found, tables["differences"], sys.stderr)
     return 0
+
+
+def report_arguments(parser: ArgumentParser) -> None:
+    """What ``bench report`` takes."""
+    add_stored(parser)
+    add_runs(parser)
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        help="folder for report.html and what goes with it, or the page's name (default: the run store)",
+    )
+    parser.add_argument(
+        "--check-claims",
+        action="store_true",
+        help="list the paper's claims: hold, do not, not decided, not measured",
+    )
 
 
 def report(options: Namespace) -> int:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import sys
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from econgs_bench.bench.commands.arguments import add_execution, add_selection, add_stored, repeatable
 from econgs_bench.bench.plan.estimates import Estimate, Past
 from econgs_bench.bench.plan.planner import Planner
 from econgs_bench.bench.plan.selection import Selection
@@ -24,6 +25,14 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from econgs_bench.bench.run.executor import Outcome
+
+
+def run_arguments(parser: ArgumentParser) -> None:
+    """What ``bench run`` takes."""
+    add_stored(parser)
+    add_selection(parser)
+    add_execution(parser)
+    parser.add_argument("--no-report", action="store_true", help="leave the page to a later `bench report`")
 
 
 def run(options: Namespace) -> int:
@@ -130,6 +139,15 @@ def _is_finding(record: Record) -> bool:
     """Whether a job shows what its method cannot do, compose or edit, and is no failure."""
     asked = record.job.composition or record.job.edit
     return record.status == "refused" and bool(asked) and record.cause is None
+
+
+def plan_arguments(parser: ArgumentParser) -> None:
+    """What ``bench plan`` takes."""
+    add_stored(parser)
+    add_selection(parser)
+    repeatable(
+        parser, "--like", metavar="STORE", help="estimate from the finished jobs of this run store too"
+    )
 
 
 def plan(options: Namespace) -> int:

@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 import time
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from dataclasses import replace
 
+from econgs_bench.bench.commands.arguments import FORMATS, count, repeatable, size
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.reports.progress import step
 
 NUMBERS = (1, 4, 9, 16, 64, 0)
 """Samples that are compared; 0: as many as each pixel needs."""
 METRICS = ("psnr", "ssim", "flip", "delta_e_uv")
+
+
+def samples_arguments(parser: ArgumentParser) -> None:
+    """What ``bench samples`` takes."""
+    parser.add_argument("dataset", help="name in the catalogue, or a path")
+    repeatable(parser, "--scene", help="only this scene")
+    parser.add_argument("--views", type=count, help="number of test views (default: 4)")
+    parser.add_argument("--size", type=size, metavar="WxH", help="pixels (default: 128)")
+    parser.add_argument("--format", choices=FORMATS, default="md")
 
 
 def samples(options: Namespace) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from econgs_bench.bench.commands.arguments import count, size
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.reports.progress import step
 
@@ -48,6 +49,20 @@ class Account:
         if self.other:
             text += f", at most {100 * self.overlap:.0f} % shared (with {self.other})"
         return f"{self.words}: {text}" if self.words else text
+
+
+def scenes_arguments(parser: ArgumentParser) -> None:
+    """What ``bench scenes`` takes."""
+    parser.add_argument("file", metavar="FILE", help="a volume file, or the TOML file of an earlier call")
+    parser.add_argument(
+        "--out", metavar="NAME.toml", help="file to write, which is never overwritten (default: here)"
+    )
+    parser.add_argument(
+        "--range", metavar="LOW,HIGH", help='values to show, or "all" (default: all but outliers)'
+    )
+    parser.add_argument("--missing", metavar="V,V...", help="values that stand for missing data")
+    parser.add_argument("--views", type=count, help="number of views of each scene (default: 3)")
+    parser.add_argument("--size", type=size, metavar="WxH", help="pixels of a view (default: 200)")
 
 
 def scenes(options: Namespace) -> int:

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import sys
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
+from econgs_bench.bench.commands.arguments import (
+    add_data,
+    add_execution,
+    add_settings,
+    add_stored,
+    count,
+    repeatable,
+)
 from econgs_bench.bench.commands.results import print_grid
 from econgs_bench.bench.commands.run import execution
 from econgs_bench.bench.store.store import Store
@@ -29,6 +37,30 @@ from econgs_bench.reports.tables.grid import Field
 
 _STARTS = {"paper": "published settings", "fair": "its own defaults"}
 """Starting points, as :attr:`.bench.tune.study.Chosen.gains` names them -> for people."""
+
+
+def tune_arguments(parser: ArgumentParser) -> None:
+    """What ``bench tune`` takes."""
+    add_stored(parser)
+    parser.add_argument("method", metavar="METHOD", help="whose options are varied")
+    parser.add_argument(
+        "suite", nargs="?", default="quick",
+        help="whose data, seeds and preset: a suite, or a TOML file (default: quick)",
+    )  # fmt: skip
+    parser.add_argument("--trials", type=count, default=24, metavar="N", help="in all (default: 24)")
+    parser.add_argument(
+        "--objective", default="front", metavar="SCORE",
+        help="front[=DB,MIB]: area under PSNR over log2 of size, above DB and below MIB; point=DB,MIB: "
+        "the same of the method's own rate alone; size=MIB: PSNR of a model of at most that size; psnr "
+        "(default: front=20,64)",
+    )  # fmt: skip
+    repeatable(parser, "--option", metavar="NAME", help="vary this, instead of those that the method names")
+    add_data(parser)
+    add_settings(parser, "the same in all trials")
+    add_execution(parser)
+    parser.add_argument(
+        "--show", action="store_true", help="show the method's studies in the run store, and run nothing"
+    )
 
 
 def tune(options: Namespace) -> int:

@@ -308,10 +308,10 @@ def test_a_report_does_not_go_into_a_file(finished, tmp_path, capsys) -> None:
 
 
 def test_units_of_limits() -> None:
-    from econgs_bench.bench.__main__ import _bytes, _seconds
+    from econgs_bench.bench.commands.arguments import byte_size, seconds
 
-    assert [_seconds(t) for t in ("90", "90s", "1.5m", "2h")] == [90, 90, 90, 7200]
-    assert [_bytes(t) for t in ("10", "2K", "500M", "8G", "8GB", "8GiB")] == [
+    assert [seconds(t) for t in ("90", "90s", "1.5m", "2h")] == [90, 90, 90, 7200]
+    assert [byte_size(t) for t in ("10", "2K", "500M", "8G", "8GB", "8GiB")] == [
         10, 2048, 500 * 2**20, 8 * 2**30, 8 * 2**30, 8 * 2**30,
     ]  # fmt: skip
 
