@@ -155,30 +155,18 @@ def run(
         DataError: the request or its input cannot be used.
         KeyboardInterrupt: Ctrl-C ended the run; the same call resumes it.
     """
-    from econgs_bench.bench.plan.selection import Selection
     from econgs_bench.bench.run.display import Silence, make_display
     from econgs_bench.bench.run.experiment import execute
-    from econgs_bench.bench.suites.suite import load_suite
-    from econgs_bench.datasets.ground_truth.sampling import samples_of
+    from econgs_bench.bench.run.request import Request
 
-    selection = Selection(
-        suite=load_suite(str(suite)),
-        datasets=tuple(map(str, datasets)),
-        scenes=tuple(scenes),
-        composed=composed,
-        methods=tuple(methods),
-        seeds=tuple(seeds),
-        preset=preset,
-        split=split,
-        samples=samples_of(samples, "run") if samples != "" else None,
-        overrides=options or {},
-        device=device,
-    )
-    display = Silence() if quiet else make_display()
-    done = execute(
-        selection, Path(out), plugins, display, retry=retry, executor=executor, scheduler=scheduler,
+    request = Request.of(
+        str(suite), out, plugins,
+        datasets=tuple(map(str, datasets)), scenes=tuple(scenes), composed=composed, methods=tuple(methods),
+        seeds=tuple(seeds), preset=preset, split=split, samples=None if samples == "" else samples,
+        overrides=options or {}, device=device, retry=retry, executor=executor, scheduler=scheduler,
         workers=workers,
     )  # fmt: skip
+    done = execute(request, Silence() if quiet else make_display())
     if done.outcome.stopped:
         raise KeyboardInterrupt("the run was stopped; the same call resumes it")
     return Runs(done.store.root, plugins=done.plugins)

@@ -32,7 +32,7 @@ def add_selection(parser: ArgumentParser) -> None:
     parser.add_argument("suite", help="a suite of `bench list suites`, or a TOML file")
     add_data(parser)
     parser.add_argument("--composed", action="store_true", help="measure the compositions of the scenes too")
-    repeatable(parser, "--method", help="instead of the suite's")
+    repeatable(parser, "--method", dest="methods", help="instead of the suite's")
     parser.add_argument(
         "--split", choices=("test", "val"), default="test",
         help="measure on test views, or leave every tenth training view out of the fit and measure on those",
@@ -52,17 +52,17 @@ def add_samples(parser: ArgumentParser) -> None:
 def add_data(parser: ArgumentParser) -> None:
     """Datasets and scenes."""
     repeatable(
-        parser, "--dataset", metavar="NAME|PATH",
+        parser, "--dataset", dest="datasets", metavar="NAME|PATH",
         help="only this of the suite's, or data of your own instead",
     )  # fmt: skip
-    repeatable(parser, "--scene", help="only this scene, or composition with its scenes")
+    repeatable(parser, "--scene", dest="scenes", help="only this scene, or composition with its scenes")
 
 
 def add_settings(parser: ArgumentParser, overrides: str) -> None:
     """Seeds, preset, options, device and run store."""
-    repeatable(parser, "--seed", type=seed, help="instead of the suite's")
+    repeatable(parser, "--seed", dest="seeds", type=seed, help="instead of the suite's")
     parser.add_argument(
-        "--preset", choices=("quick", "standard", "paper"),
+        "--preset", default="", choices=("quick", "standard", "paper"),
         help="resolution, number of views and length of training (default: the suite's)",
     )  # fmt: skip
     repeatable(parser, "--set", metavar="METHOD.OPTION=VALUE", help=overrides)

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 from econgs_bench.bench.commands.arguments import add_execution, add_selection, add_stored, repeatable
 from econgs_bench.bench.plan.estimates import Estimate, Past
 from econgs_bench.bench.plan.planner import Planner
-from econgs_bench.bench.plan.selection import Selection
 from econgs_bench.bench.results.versions import of_other_source
 from econgs_bench.bench.run.display import make_display, span
+from econgs_bench.bench.run.limits import Limits
 from econgs_bench.bench.run.plugins import plugin_folders
+from econgs_bench.bench.run.request import Request
 from econgs_bench.bench.store.records import Job, Record
 from econgs_bench.bench.store.store import Store
-from econgs_bench.bench.suites.suite import load_suite
 from econgs_bench.reports.progress import step
 from econgs_bench.reports.style import counted
 
@@ -41,13 +41,7 @@ def run(options: Namespace) -> int:
     from econgs_bench.bench.run.experiment import execute
     from econgs_bench.reports.schema import joined
 
-    done = execute(
-        _selection(options),
-        Path(options.out),
-        options.plugins,
-        make_display(),
-        **execution(options),
-    )
+    done = execute(request(options), make_display())
     store, planner, outcome = done.store, done.planner, done.outcome
     step("making tables and the report")
     methods = planner.registry.specs
@@ -104,19 +98,6 @@ def _disturbed(results: pd.DataFrame) -> int:
     return sum(kind_of(row, name) == DISTURBED for row in records(results) for name in CLOCKS)
 
 
-def execution(options: Namespace) -> dict[str, Any]:
-    """How jobs are run, as :func:`.bench.run.experiment.execute` takes it."""
-    from econgs_bench.bench.run.limits import Limits
-
-    return {
-        "retry": options.retry or False,
-        "limits": Limits(options.time_limit, options.memory_limit),
-        "executor": options.executor,
-        "scheduler": options.scheduler,
-        "workers": options.workers,
-    }
-
-
 def _verdict(outcome: Outcome, store: Store) -> int:
     if not outcome.ran and not outcome.unfinished:
         print(f"bench: nothing to run, all {len(outcome.records)} jobs are finished", file=sys.stderr)
@@ -154,7 +135,8 @@ def plan(options: Namespace) -> int:
     """Print the jobs, their states, and the time, memory and disk that the rest may take."""
     root = Path(options.out)
     step("reading and hashing the data of the plan")
-    planner = Planner(replace(_selection(options), plugins=plugin_folders(options.plugins, root)))
+    folders = plugin_folders(options.plugins, root)
+    planner = Planner(replace(request(options).selection, plugins=folders))
     store = Store(root) if (root / "store.json").is_file() else None
     jobs = planner.jobs(store)
     records = {record.job.id: record for record in store.records()} if store else {}
@@ -198,21 +180,16 @@ def _state(job: Job, record: Record | None, estimate: Estimate | None, store: St
     return f"{words}, about {span(estimate.seconds_for(job))}" if estimate is not None else words
 
 
-def _selection(options: Namespace) -> Selection:
-    """What the command line selects; its plugin folders are chosen by the run."""
-    from econgs_bench.datasets.ground_truth.sampling import samples_of
+def request(options: Namespace, **others: Any) -> Request:
+    """What the command line asks for.
+
+    Args:
+        options: its arguments, by the names of fields.
+        others: further fields, or other values.
+    """
     from econgs_bench.methods.options import parse_assignments
 
-    return Selection(
-        suite=load_suite(options.suite),
-        datasets=tuple(options.dataset),
-        scenes=tuple(options.scene),
-        composed=options.composed,
-        methods=tuple(options.method),
-        seeds=tuple(options.seed),
-        preset=options.preset or "",
-        split=options.split,
-        samples=None if options.samples is None else samples_of(options.samples, "--samples"),
-        overrides=parse_assignments(options.set),
-        device=options.device,
-    )
+    given = vars(options) | {"overrides": parse_assignments(options.set)} | others
+    if "time_limit" in given:
+        given["limits"] = Limits(options.time_limit, options.memory_limit)
+    return Request.of(**given)

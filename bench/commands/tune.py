@@ -17,7 +17,7 @@ from econgs_bench.bench.commands.arguments import (
     repeatable,
 )
 from econgs_bench.bench.commands.results import print_grid
-from econgs_bench.bench.commands.run import execution
+from econgs_bench.bench.commands.run import request
 from econgs_bench.bench.store.store import Store
 from econgs_bench.bench.tune.study import (
     Study,
@@ -71,28 +71,13 @@ def tune(options: Namespace) -> int:
 
 
 def _run(options: Namespace) -> int:
-    from econgs_bench.bench.plan.selection import Selection
     from econgs_bench.bench.results.tables import build_tables
     from econgs_bench.bench.run.display import make_display
     from econgs_bench.bench.run.experiment import execute
-    from econgs_bench.bench.suites.suite import load_suite
 
-    selection = Selection(
-        suite=load_suite(options.suite),
-        datasets=tuple(options.dataset),
-        scenes=tuple(options.scene),
-        methods=(options.method,),
-        seeds=tuple(options.seed),
-        preset=options.preset or "",
-        split="val",
-        device=options.device,
-    )
     done = execute(
-        selection,
-        Path(options.out),
-        options.plugins,
+        request(options, methods=(options.method,), split="val", overrides={}),
         make_display(),
-        **execution(options),
         plan=partial(
             Trials,
             objective=objective_of(options.objective),

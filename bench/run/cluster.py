@@ -28,9 +28,10 @@ from econgs_bench.bench.machine.timing import available_cores
 from econgs_bench.bench.plan.estimates import Past
 from econgs_bench.bench.plan.planner import Planner
 from econgs_bench.bench.run.display import Display
-from econgs_bench.bench.run.executor import Ending, Executor, Retry
-from econgs_bench.bench.run.limits import Limits, available_memory
+from econgs_bench.bench.run.executor import Ending, Executor
+from econgs_bench.bench.run.limits import available_memory
 from econgs_bench.bench.run.node import SLOT, Node, Order, Reply, run_order, stop_run, visible_record
+from econgs_bench.bench.run.request import Execution
 from econgs_bench.bench.run.runner import finish_dead
 from econgs_bench.bench.run.worker import GRACE_SECONDS
 from econgs_bench.bench.store.leases import Held
@@ -49,19 +50,6 @@ _NO_PAGES: dict[str, list[str]] = {
 """Pages of schedulers and workers show logs and settings to whoever reaches their ports."""
 REPLY_SECONDS = 30.0
 """How long a worker may keep its reply once the record of its job is there."""
-
-
-@dataclass(frozen=True)
-class Cluster:
-    """Which Dask workers run the jobs.
-
-    Attributes:
-        scheduler: address of a scheduler, or its file; "": workers are started on this machine.
-        workers: how many are started here.
-    """
-
-    scheduler: str = ""
-    workers: int = 1
 
 
 @dataclass
@@ -89,7 +77,6 @@ class DaskExecutor(Executor):
     """Runs the jobs on workers of Dask, beside each other.
 
     Args:
-        cluster: which workers.
         plugins: plugin folders for the workers.
         threads: most threads of a job; default: as many as its worker has.
     """
@@ -99,15 +86,13 @@ class DaskExecutor(Executor):
         store: Store,
         planner: Planner,
         display: Display,
-        cluster: Cluster,
+        execution: Execution,
         *,
-        retry: Retry = False,
-        limits: Limits | None = None,
         plugins: tuple[str, ...] = (),
         threads: int | None = None,
     ) -> None:
-        super().__init__(store, planner, display, Past([store]), retry=retry, limits=limits)
-        self._cluster = cluster
+        super().__init__(store, planner, display, Past([store]), execution)
+        self._scheduler, self._count = execution.scheduler, execution.workers or 1
         self._plugins = plugins
         self._threads = threads
         self._name = uuid.uuid4().hex[:8]
@@ -139,16 +124,16 @@ class DaskExecutor(Executor):
 
     @property
     def _place(self) -> str:
-        return self._cluster.scheduler or "the cluster on this machine"
+        return self._scheduler or "the cluster on this machine"
 
     def _connected(self, stack: ExitStack) -> Client:
         """A client of the scheduler, of one on this machine if none is named."""
         for name in ("distributed", "distributed.scheduler", "distributed.worker", "distributed.nanny"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
-        address: Any = self._cluster.scheduler
+        address: Any = self._scheduler
         named = Path(address).is_file()
         if not address:
-            count = self._cluster.workers
+            count = self._count
             stack.enter_context(dask.config.set(_NO_PAGES))
             address = stack.enter_context(
                 LocalCluster(

@@ -9,14 +9,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 from econgs_bench.bench.jobs.method import MethodJob
 from econgs_bench.bench.machine.timing import available_cores
 from econgs_bench.bench.plan.estimates import Past
 from econgs_bench.bench.plan.planner import Planner
 from econgs_bench.bench.run.display import Display
-from econgs_bench.bench.run.limits import Limit, Limits, finished_here
+from econgs_bench.bench.run.limits import Limit, finished_here
+from econgs_bench.bench.run.request import Execution
 from econgs_bench.bench.run.runner import POLL_SECONDS, Runner
 from econgs_bench.bench.store.leases import Held
 from econgs_bench.bench.store.progress import log_tail, now
@@ -47,10 +48,6 @@ class Outcome:
         return [record for record in self.records if not record.ok]
 
 
-Retry = bool | Literal["failed", "busy"]
-"""Finished jobs that run again: failed ones (or True), or those with a disturbed time."""
-
-
 def _stop_signals() -> list[int]:
     """Signals that end a run; `nohup` has hang-ups ignored."""
     stops: list[int] = [signal.SIGINT, signal.SIGTERM]
@@ -78,8 +75,7 @@ class Executor(ABC):
         planner: makes the plan; again after a partition, and for repeats of broken rungs.
         display: shows progress.
         past: finished jobs, from which limits of time follow.
-        retry: finished jobs that run again.
-        limits: of each job; default: those of :mod:`.bench.run.limits`.
+        execution: finished jobs that run again, and limits of each job.
     """
 
     def __init__(
@@ -88,16 +84,13 @@ class Executor(ABC):
         planner: Planner,
         display: Display,
         past: Past,
-        *,
-        retry: Retry = False,
-        limits: Limits | None = None,
+        execution: Execution,
     ) -> None:
         self._store = store
         self._planner = planner
         self._display = display
         self._past = past
-        self._retry = retry
-        self._limits = limits or Limits()
+        self._retry, self._limits = execution.retry, execution.limits
         self._signals = 0
         self._hung_up: int | None = None
         self._numbers: dict[str, int] = {}
@@ -299,13 +292,12 @@ class LocalExecutor(Executor):
         store: Store,
         planner: Planner,
         display: Display,
+        execution: Execution,
         *,
-        retry: Retry = False,
-        limits: Limits | None = None,
         plugins: tuple[str, ...] = (),
         threads: int | None = None,
     ) -> None:
-        super().__init__(store, planner, display, finished_here(store), retry=retry, limits=limits)
+        super().__init__(store, planner, display, finished_here(store), execution)
         self._runner = Runner(
             store,
             planner.registry,

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from econgs_bench.bench.machine.locks import check_locks
@@ -21,8 +18,8 @@ from econgs_bench.reports.progress import hushed, step
 if TYPE_CHECKING:
     from econgs_bench.bench.plan.selection import Selection
     from econgs_bench.bench.run.display import Display
-    from econgs_bench.bench.run.executor import Executor, Outcome, Retry
-    from econgs_bench.bench.run.limits import Limits
+    from econgs_bench.bench.run.executor import Executor, Outcome
+    from econgs_bench.bench.run.request import Execution, Request
 
 
 @dataclass(frozen=True)
@@ -43,49 +40,34 @@ class Experiment:
 
 
 def execute(
-    selection: Selection,
-    out: Path,
-    plugins: Iterable[str | os.PathLike[str]],
+    request: Request,
     display: Display,
-    *,
-    retry: Retry = False,
-    limits: Limits | None = None,
-    executor: str = "local",
-    scheduler: str = "",
-    workers: int | None = None,
     plan: Callable[[Selection], Planner] = Planner,
 ) -> Experiment:
     """Run the jobs of a selection that are not finished yet; the store remembers its plugins and ladders.
 
     Args:
-        selection: checked before the store is made; its plugin folders are chosen here.
-        out: folder of the store.
-        plugins: folders with methods; default: those that the store remembers.
+        request: checked before the store is made; the plugin folders of its selection are chosen here.
         display: shows progress and notices.
-        retry: finished jobs that run again.
-        limits: of each job.
-        executor: "local", or "dask" for workers beside each other.
-        scheduler: address of Dask's scheduler; default: one on this machine.
-        workers: how many are started on this machine; default: 1.
         plan: makes the planner of the selection.
 
     Raises:
         DataError: the selection or the store cannot be used.
     """
-    run_on = _executor(executor, scheduler, workers)
-    if not scheduler:
+    selection, execution = request.selection, request.execution
+    run_on = _executor(execution)
+    if not execution.scheduler:
         check_device(selection.device)
     check_locks()
-    given = resolved(os.fspath(folder) for folder in plugins)
-    folders = plugin_folders(given, out)
+    given = resolved(request.plugins)
+    folders = plugin_folders(given, request.out)
     step("reading and hashing the data of the plan")
     planner = plan(replace(selection, plugins=folders))
-    store = Store(out, create=True)
+    store = Store(request.out, create=True)
     remember(store, given)
     remember_ladders(store, planner.ladders)
     _announce(planner, store, display)
-    threads = selection.suite.threads
-    run = run_on(store, planner, display, retry=retry, limits=limits, plugins=folders, threads=threads)
+    run = run_on(store, planner, display, execution, plugins=folders, threads=selection.suite.threads)
     with hushed():
         return Experiment(store, planner, folders, run.run())
 
@@ -111,15 +93,16 @@ def check_device(device: str) -> None:
         )
 
 
-def _executor(name: str, scheduler: str, workers: int | None) -> Callable[..., Executor]:
-    """What makes the executor of that name.
+def _executor(execution: Execution) -> Callable[..., Executor]:
+    """What makes the executor that is asked for.
 
     Raises:
         DataError: its package is missing, or the choices do not go together.
     """
     from econgs_bench.bench.run.executor import LocalExecutor
 
-    if name == "local":
+    scheduler, workers = execution.scheduler, execution.workers
+    if execution.executor == "local":
         if scheduler or workers is not None:
             given = "--scheduler" if scheduler else "--workers"
             raise DataError(given, "is for clusters", "Add --executor dask")
@@ -129,12 +112,12 @@ def _executor(name: str, scheduler: str, workers: int | None) -> Callable[..., E
             "--workers", "are started on this machine alone", "Leave out --workers or --scheduler"
         )
     try:
-        from econgs_bench.bench.run.cluster import Cluster, DaskExecutor
+        from econgs_bench.bench.run.cluster import DaskExecutor
     except ModuleNotFoundError as error:
         raise DataError(
             "--executor dask", f"needs the package {error.name}", "pip install 'econgs-bench[cluster]'"
         ) from error
-    return partial(DaskExecutor, cluster=Cluster(scheduler, workers or 1))
+    return DaskExecutor
 
 
 def _announce(planner: Planner, store: Store, display: Display) -> None:
