@@ -48,15 +48,18 @@ def scene(count: int, size: int) -> tuple[dict[str, Tensor], Camera]:
     return {name: torch.from_numpy(one.astype(np.float32)) for name, one in arrays.items()}, camera
 
 
-def splatting(tensors: dict[str, Tensor], camera: Camera, backend: str, backward: bool) -> Callable[[], None]:
-    """One frame, or one frame and its gradients to all five inputs from color and alpha."""
+def splatting(
+    tensors: dict[str, Tensor], camera: Camera, backend: str, backward: bool
+) -> Callable[[], Tensor]:
+    """Draws a frame, which it returns, and its gradients from color and alpha to all five inputs if asked."""
     leaves = {name: one.clone().requires_grad_(backward) for name, one in tensors.items()}
     color, alpha = torch.rand(camera.height, camera.width, 3), torch.rand(camera.height, camera.width)
 
-    def call() -> None:
+    def call() -> Tensor:
         out = rasterise(camera=camera, backend=backend, **leaves)
         if backward:
             torch.autograd.grad([out.features, out.alpha], list(leaves.values()), [color, alpha])
+        return out.features
 
     return call
 
@@ -100,9 +103,8 @@ def blend_share(repeats: int) -> None:
         frame = splatting(tensors, camera, "native", True)
         rates, peaks = [], []
         for _ in range(3 * repeats):
-            frame()
-            last = native.last_frame()
-            rates.append(last["evaluations"] / last["blend"])
+            numbers = native.statistics(frame())
+            rates.append(numbers["evaluations"] / numbers["blend"])
             peaks.append(native.bench_blend(3))
         rate, peak = statistics.median(rates), statistics.median(peaks)
         row(name, f"{rate / 1e9:.2f}", f"{peak / 1e9:.2f}", f"{rate / peak:.0%}")
@@ -147,7 +149,7 @@ def instruction_sets(repeats: int) -> None:
         tensors, camera = scene(count, size)
         frame = splatting(tensors, camera, "native", True)
 
-        def under(isa: str, frame: Callable[[], None] = frame) -> None:
+        def under(isa: str, frame: Callable[[], Tensor] = frame) -> None:
             native.set_isa(isa)
             frame()
 
