@@ -36,27 +36,65 @@ COLORS = (
 """Palette of Okabe and Ito, distinct for color-blind readers too."""
 
 _BINS = 256
-_MAX_SAMPLES = 160  # per axis: enough for a histogram, and fast for any volume
-_REFERENCE_LENGTH = 0.01
-_SURFACE_DEPTH = 1.2  # optical depth of one crossing of a surface: 70 % opaque
-_PARTS = 7  # of the value range, by area: enough for what differs, and 36 windows
-_TAIL = 0.95  # one more cut: what is dense or bright is small
-_TRANSLUCENT = 0.3  # times the opacity of a surface: what is thick stays, thin shells vanish
-_SHARES = (0.008, 0.24)  # of the voxels, visible: within the 0.5 to 30 % that a scene is to show
-_GOOD_SHARE = 0.05  # times mean opacity: for the one scene of a volume in which nothing separates
-_LEAST_LABEL = 0.002
-_OVERLAP = 0.46  # of two scenes: a little under the half that is the aim at any resolution
-_COHERENCE = 0.3  # least share of a window's visible voxels that are no part of a sharp edge or of noise
-_ALPHA = 0.25  # least mean opacity of the pixels that a scene covers
-_COVER = 0.8  # greatest share of the rays through the box that a scene may stop
-_BEAM = 300  # sets of scenes that stay in the search
-_LEVELS = 16  # most distinct values of a volume of labels
-_LEAST_OPACITY = 0.04
-_BONUS = 0.25  # of each further scene
-_TREND = 0.9  # share of the variance that a profile along an axis or a linear ramp explains
-_FLAT = 0.01  # of the value range: residuals of a trend under it are nothing
-_NOISE = 0.75  # squared differences of neighbors over twice the variance: 1 for white noise
-_SHEETS = 24  # parts of a trending field
+"""Equal bins of the value range, in which values are counted and windows begin and end."""
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Numbers that decide which windows of values become scenes; chosen by hand, on many volumes.
+
+    Opacities and shares are 0 to 1. Shares of voxels are of those inside the volume's mask.
+
+    Attributes:
+        max_samples: samples per axis that statistics are made of: enough for a histogram, and fast.
+        reference_length: length to which opacities refer, in scene space (longest side of the volume: 1).
+        surface_depth: optical depth of one crossing of a surface; 1.2 is 70 % opaque.
+        parts: parts of the value range, of equal isosurface area; 7 make 36 windows.
+        tail: share of the area at which one more cut is made, as what is dense or bright is small.
+        translucent: opacity of the second candidate of a window, in that of a surface: thick parts stay.
+        min_opacity: least opacity of a translucent bump.
+        visible_share: least and greatest share of voxels that a scene shows (the aim is 0.005 to 0.3).
+        visible_label: least such share of a volume of labels.
+        single_share: visible share times mean opacity to be nearest to, where nothing separates.
+        max_overlap: share of visible voxels that two scenes may have in common; the aim is below a half.
+        min_coherence: least share of a window's visible voxels that are no sharp edge and no noise.
+        min_alpha: least mean opacity of the pixels that a scene covers.
+        max_cover: greatest share of the rays through the box that a scene stops.
+        bonus: worth of a further scene in a set, beside what it shows.
+        beam: sets of scenes that a step of the search keeps.
+        max_labels: most distinct values of a volume of labels.
+        min_trend: share of the variance that a profile along an axis or a linear ramp explains, from which
+            on the values follow a position.
+        flat_residual: residuals of a trend, in the value range, below which they hold nothing.
+        noise_ratio: half the mean squared difference of neighbours, in variances, above which values are
+            noise; 1 is white noise.
+        sheets: parts of a field that follows a position.
+    """
+
+    max_samples: int = 160
+    reference_length: float = 0.01
+    surface_depth: float = 1.2
+    parts: int = 7
+    tail: float = 0.95
+    translucent: float = 0.3
+    min_opacity: float = 0.04
+    visible_share: tuple[float, float] = (0.008, 0.24)
+    visible_label: float = 0.002
+    single_share: float = 0.05
+    max_overlap: float = 0.46
+    min_coherence: float = 0.3
+    min_alpha: float = 0.25
+    max_cover: float = 0.8
+    bonus: float = 0.25
+    beam: int = 300
+    max_labels: int = 16
+    min_trend: float = 0.9
+    flat_residual: float = 0.01
+    noise_ratio: float = 0.75
+    sheets: int = 24
+
+
+TUNING = Tuning()
 
 _log = logging.getLogger(__name__)
 
@@ -111,7 +149,7 @@ def automatic_scenes(volume: Volume, count: int = 3) -> tuple[BasicScene, ...]:
     if usable and not structure.empty:
         choice = _choice(usable, count)
     elif candidates:
-        choice = [min(candidates, key=lambda one: abs(math.log(one.share * one.alpha / _GOOD_SHARE))).bumps]
+        choice = [min(candidates, key=_distance_from_good).bumps]
     else:
         choice = [(_bump("", stats, *_two_valued(stats), COLORS[0]),)]
     scenes = []
@@ -122,7 +160,7 @@ def automatic_scenes(volume: Volume, count: int = 3) -> tuple[BasicScene, ...]:
             replace(bump, name=name + side, color=COLORS[i % len(COLORS)])
             for bump, side in zip(bumps, sides, strict=True)
         )
-        scenes.append(BasicScene(name, volume.name, TransferFunction(name, bumps, _REFERENCE_LENGTH)))
+        scenes.append(BasicScene(name, volume.name, TransferFunction(name, bumps, TUNING.reference_length)))
     return tuple(scenes)
 
 
@@ -131,7 +169,7 @@ def statistics(volume: Volume) -> Statistics:
 
     Samples that the volume's mask leaves out count nothing.
     """
-    strides = [-(-n // _MAX_SAMPLES) for n in volume.values.shape]
+    strides = [-(-n // TUNING.max_samples) for n in volume.values.shape]
     subset = tuple(slice(None, None, stride) for stride in strides)
     values = volume.values[subset]
     valid = np.ones(values.shape, dtype=bool) if volume.mask is None else volume.mask[subset]
@@ -246,6 +284,11 @@ class _Structure:
     empty: bool = False
 
 
+def _distance_from_good(one: _Candidate) -> float:
+    """How far a scene is from one that shows neither too little nor too much, as a ratio's logarithm."""
+    return abs(math.log(one.share * one.alpha / TUNING.single_share))
+
+
 def _structure(stats: Statistics, samples: Samples) -> _Structure:
     values, valid = samples.values, samples.valid
     inside = values[valid].astype(np.float64)
@@ -256,18 +299,18 @@ def _structure(stats: Statistics, samples: Samples) -> _Structure:
     if len(levels) < 3 or variance <= 0.0:
         return _Structure(slope, weight, [])
     share = np.cumsum(stats.count) / stats.count.sum()
-    if _roughness(samples) > _NOISE * variance:
+    if _roughness(samples) > TUNING.noise_ratio * variance:
         high = [(int(np.searchsorted(share, 0.75)), _BINS)]
         obstacle = "nothing separates (noise); the scene shows the highest values"
         return _Structure(slope, weight, high, False, obstacle, True)
-    if len(levels) <= _LEVELS:
+    if len(levels) <= TUNING.max_labels:
         return _Structure(slope, weight, _around(stats, levels), True)
     trend, kind = _trend(samples)
     residual = values - trend
     explained = 1.0 - float(residual[valid].astype(np.float64).var()) / variance
-    if explained < _TREND:
-        return _Structure(slope, weight, _windows(stats, stats.area, _PARTS))
-    if float(np.quantile(np.abs(residual[valid]), 0.999)) < _FLAT:
+    if explained < TUNING.min_trend:
+        return _Structure(slope, weight, _windows(stats, stats.area, TUNING.parts))
+    if float(np.quantile(np.abs(residual[valid]), 0.999)) < TUNING.flat_residual:
         middle = int(np.searchsorted(share, 0.5))
         bands = [(max(middle - half, 0), min(middle + half, _BINS)) for half in (4, 8, 16)]
         obstacle = f"nothing separates, values follow {kind} and nothing else; the scene shows their middle"
@@ -276,7 +319,7 @@ def _structure(stats: Statistics, samples: Samples) -> _Structure:
     area = np.bincount(_bin(values[valid]), weights=weight[valid], minlength=_BINS)
     part = f"{100 * min(explained, 0.999):.1f} % of the variance"
     obstacle = f"values mostly follow {kind} ({part}); scenes are sheets, bent where values deviate"
-    return _Structure(slope, weight, _windows(stats, area, _SHEETS, sheets=True), False, obstacle)
+    return _Structure(slope, weight, _windows(stats, area, TUNING.sheets, sheets=True), False, obstacle)
 
 
 def _roughness(samples: Samples) -> float:
@@ -321,7 +364,7 @@ def _windows(
     first = max(int(np.searchsorted(share, 0.005)), int(occupied[0]))
     last = min(int(np.searchsorted(share, 0.998)), int(occupied[-1]))
     level = share[first - 1] if first else 0.0
-    targets = level + (share[last] - level) * np.append(np.arange(1, parts) / parts, _TAIL)
+    targets = level + (share[last] - level) * np.append(np.arange(1, parts) / parts, TUNING.tail)
     edges = sorted({first, *(int(i) + 1 for i in np.searchsorted(share, targets)), last + 1})
     if sheets:
         return list(pairwise(edges))
@@ -357,8 +400,8 @@ def _candidates(stats: Statistics, samples: Samples, structure: _Structure) -> l
         (low, high), factor = choice
         pieces = _without_background(stats, low / _BINS, high / _BINS)
         bumps = tuple(_bump("", stats, *piece, COLORS[0]) for piece in pieces)
-        bumps = tuple(replace(bump, opacity=max(_LEAST_OPACITY, bump.opacity * factor)) for bump in bumps)
-        look = samples.look(TransferFunction("", bumps, _REFERENCE_LENGTH))
+        bumps = tuple(replace(bump, opacity=max(TUNING.min_opacity, bump.opacity * factor)) for bump in bumps)
+        look = samples.look(TransferFunction("", bumps, TUNING.reference_length))
         visible, alpha = look.visible, look.alpha
         within = visible & (samples.values >= low / _BINS) & (samples.values <= high / _BINS)
         coherence = 1.0
@@ -370,18 +413,18 @@ def _candidates(stats: Statistics, samples: Samples, structure: _Structure) -> l
         if share <= 0.0:
             return None
         held = float(structure.weight[visible].sum(dtype=np.float64) / total)
-        worth = math.sqrt(held * coherence * alpha) * (1.0 if factor == 1.0 else 0.95) + _BONUS
+        worth = math.sqrt(held * coherence * alpha) * (1.0 if factor == 1.0 else 0.95) + TUNING.bonus
         usable = (
-            least <= share <= _SHARES[1]
-            and alpha >= _ALPHA
-            and look.cover <= _COVER
-            and coherence >= _COHERENCE
+            least <= share <= TUNING.visible_share[1]
+            and alpha >= TUNING.min_alpha
+            and look.cover <= TUNING.max_cover
+            and coherence >= TUNING.min_coherence
         )
         return _Candidate(low, high, bumps, visible.ravel(), share, alpha, worth, usable)
 
-    least = _LEAST_LABEL if structure.labels else _SHARES[0]
+    least = TUNING.visible_label if structure.labels else TUNING.visible_share[0]
     total = max(float(structure.weight.sum(dtype=np.float64)), 1e-30)
-    choices = [(window, factor) for window in structure.windows for factor in (1.0, _TRANSLUCENT)]
+    choices = [(window, factor) for window in structure.windows for factor in (1.0, TUNING.translucent)]
     with ThreadPoolExecutor(min(cpu_count() or 1, 4)) as pool:
         return [one for one in pool.map(candidate, choices) if one is not None]
 
@@ -394,11 +437,11 @@ def _choice(candidates: list[_Candidate], count: int) -> list[tuple[Bump, ...]]:
     high = np.array([one.high for one in candidates])
     worth = np.array([one.worth for one in candidates])
     apart = (low[:, None] >= high[None]) | (high[:, None] <= low[None])
-    fits = apart & (overlaps([one.visible for one in candidates]) <= _OVERLAP)
+    fits = apart & (overlaps([one.visible for one in candidates]) <= TUNING.max_overlap)
     sets: dict[tuple[int, ...], float] = {(i,): float(value) for i, value in enumerate(worth)}
     best = max(sets, key=lambda one: sets[one])
     for _ in range(count - 1):
-        kept = sorted(sets, key=lambda one: (-sets[one], one))[:_BEAM]
+        kept = sorted(sets, key=lambda one: (-sets[one], one))[: TUNING.beam]
         larger: dict[tuple[int, ...], float] = {}
         for one in kept:
             for other in np.flatnonzero(fits[list(one)].all(axis=0)):
@@ -452,5 +495,5 @@ def _bump(name: str, stats: Statistics, low: float, high: float, color: tuple[fl
         rise = low = 0.0
     slope = float(stats.area[first:last].sum() / max(stats.count[first:last].sum(), 1))
     thickness = 0.5 * (high - low) / slope if slope > 0.0 else 1.0
-    opacity = 1.0 - math.exp(-_SURFACE_DEPTH * _REFERENCE_LENGTH / thickness)
+    opacity = 1.0 - math.exp(-TUNING.surface_depth * TUNING.reference_length / thickness)
     return Bump(name, low, rise, fall, high, color, min(max(opacity, 0.15), 0.9))

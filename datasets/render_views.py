@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache as once
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from importlib.metadata import version
 from typing import Any, Literal
 from weakref import WeakKeyDictionary
@@ -83,16 +83,16 @@ def views_of(
         prerendered: ViewSet = load_views(parts[0], request)
         return replace(prerendered, background=background)
     cache = ViewCache() if cache is None else cache
-    work = _Work(dataset, parts, request, renderer)
-    views = cache.get(work.key)
+    job = RenderJob.of(dataset, parts, request, renderer)
+    views = cache.get(job.key)
     if views is None:
-        images, record = work.render(progress)
-        views = CachedViews(cache.put(work.key, images, record), record)
-    if len(work.places) == len(work.cameras):
-        return ViewSet(work.cameras, views.images, background, work.key, views.record)
-    cameras = tuple(work.cameras[i] for i in work.places)
-    key = f"{work.key}-{request.split}"
-    return ViewSet(cameras, picked(views.images, work.places), background, key, views.record)
+        images, record = job.render(progress)
+        views = CachedViews(cache.put(job.key, images, record), record)
+    if len(job.places) == len(job.cameras):
+        return ViewSet(job.cameras, views.images, background, job.key, views.record)
+    cameras = tuple(job.cameras[i] for i in job.places)
+    key = f"{job.key}-{request.split}"
+    return ViewSet(cameras, picked(views.images, job.places), background, key, views.record)
 
 
 def cameras_of(dataset: Dataset, scene_name: str, request: ViewRequest) -> tuple[Camera, ...]:
@@ -150,13 +150,13 @@ def finer_views(
     """
     from econgs_bench.datasets.prerendered import area_average
 
-    work = _Work(dataset, _edited(dataset.parts(scene_name), edit), request, renderer)
-    places = evenly_spaced(len(work.places), count)
-    cameras = tuple(work.cameras[work.places[i]] for i in places)
+    job = RenderJob.of(dataset, _edited(dataset.parts(scene_name), edit), request, renderer)
+    places = evenly_spaced(len(job.places), count)
+    cameras = tuple(job.cameras[job.places[i]] for i in places)
     double = tuple(camera.resized(2 * request.width, 2 * request.height) for camera in cameras)
-    marcher = _marcher(work.volumes, work.backend)
-    one_ray = marcher.prepare(work.layers, 1)(cameras)
-    finer = marcher.prepare(work.layers, ADAPTIVE)(double)
+    marcher = _marcher(job.volumes, job.backend)
+    one_ray = marcher.prepare(job.layers, 1)(cameras)
+    finer = marcher.prepare(job.layers, ADAPTIVE)(double)
     means = [area_average(image, request.width, request.height, scene_name) for image in finer]
     return Finer(tuple(places), one_ray, np.stack(means))
 
@@ -189,9 +189,9 @@ def live_renderer(
     """
     if dataset.kind == "views":
         raise DataError(dataset.name, "was rendered elsewhere", "Name a dataset with a volume")
-    work = _Work(dataset, dataset.parts(scene_name), request, renderer)
-    draw, seconds = work.set_up()
-    return LiveRenderer(lambda camera: draw((camera,))[0], work.cameras, seconds, work._renderer())
+    job = RenderJob.of(dataset, dataset.parts(scene_name), request, renderer)
+    draw, seconds = job.set_up()
+    return LiveRenderer(lambda camera: draw((camera,))[0], job.cameras, seconds, job.renderer)
 
 
 def marcher_of(
@@ -246,45 +246,55 @@ def volume_digest(volume: Volume) -> str:
     return _digests[volume]
 
 
-class _Work:
-    """Cameras, renderer and key of a request.
+@dataclass(frozen=True, eq=False)
+class RenderJob:
+    """The views of a request that are rendered together, and by what.
 
     Attributes:
-        places: positions of the split among all ``cameras``.
+        layers: parts of the scene, drawn in one picture.
+        volumes: distinct volumes of the layers, on one grid.
+        cameras: all training or all test cameras of the request.
+        places: positions of the views of its split among ``cameras``.
+        samples: rays a pixel, or :data:`.datasets.ground_truth.sampling.ADAPTIVE`.
+        backend: of Mitsuba; "none" for the reference marcher.
     """
 
-    def __init__(
-        self, dataset: Dataset, parts: tuple[BasicScene, ...], request: ViewRequest, renderer: Renderer
-    ) -> None:
-        for scene in parts:
-            if (scene.transfer is None) == (not scene.isosurfaces):
-                raise DataError(
-                    f"{dataset.name}/{scene.name}",
-                    "the scene has both a transfer function and isosurfaces"
-                    if scene.isosurfaces
-                    else "the scene has no transfer function",
-                    "Give it one or the other in the catalogue",
-                )
-        self.layers = tuple(Layer.of(scene, dataset.volume(scene.variable)) for scene in parts)
-        names = " + ".join(scene.name for scene in parts)
-        self.volumes = same_grid([layer.volume for layer in self.layers], f"{dataset.name}/{names}")
+    layers: tuple[Layer, ...]
+    volumes: tuple[Volume, ...]
+    cameras: tuple[Camera, ...]
+    places: tuple[int, ...]
+    samples: int
+    backend: probe.Backend
+
+    @classmethod
+    def of(
+        cls, dataset: Dataset, parts: tuple[BasicScene, ...], request: ViewRequest, renderer: Renderer
+    ) -> RenderJob:
+        """The job of a scene's parts.
+
+        Raises:
+            DataError: parts or request that cannot be drawn, or no backend for ``renderer``.
+        """
+        _check_parts(dataset, parts)
+        name = f"{dataset.name}/{' + '.join(scene.name for scene in parts)}"
+        layers = tuple(Layer.of(scene, dataset.volume(scene.variable)) for scene in parts)
+        volumes = same_grid([layer.volume for layer in layers], name)
         if min(request.width, request.height) < 1:
             raise DataError(
                 f"{request.width}x{request.height} views",
                 "there must be at least one pixel",
                 "Ask for 128x128, say",
             )
-        self.cameras = _cameras(self.volumes[0], dataset.frame, request)
-        self.places = split_indices(len(self.cameras), request.split)
-        if not self.places:
+        cameras = _cameras(volumes[0], dataset.frame, request)
+        places = split_indices(len(cameras), request.split)
+        if not places:
             raise DataError(
                 f"validation split of {request.train_views} training views",
                 "every tenth view is validation and there are fewer than ten",
                 "Use 12 or more training views",
             )
-        self.samples = checked(request.samples, f"{dataset.name}/{names}")
-        self.backend = _backend(renderer)
-        self.key = self._key()
+        samples = checked(request.samples, name)
+        return cls(layers, volumes, cameras, tuple(places), samples, _backend(renderer))
 
     def set_up(self) -> tuple[Draw, float]:
         """The function that draws views of this scene, and the seconds until it was ready."""
@@ -301,7 +311,7 @@ class _Work:
         images = draw(self.cameras, progress)
         seconds = time.perf_counter() - ready
         record = {
-            **self._renderer(),
+            **self.renderer,
             "ms_per_view": 1e3 * seconds / len(images),
             "setup_seconds": setup_seconds,
             "peak_host_bytes": peak_host_bytes(),
@@ -312,7 +322,9 @@ class _Work:
         }
         return images, record
 
-    def _renderer(self) -> dict[str, Any]:
+    @property
+    def renderer(self) -> dict[str, Any]:
+        """Name, version and backend of what draws."""
         if self.backend.name == "none":
             backend = {"cpu": "torch", "cuda": "torch-cuda"}[_torch_device()]
             return {"renderer": "reference", "version": version("torch"), "backend": backend}
@@ -322,7 +334,9 @@ class _Work:
             "backend": self.backend.name,
         }
 
-    def _key(self) -> str:
+    @cached_property
+    def key(self) -> str:
+        """Name of the views in the cache: a hash of all that decides their pixels."""
         parts = [_ingredients(layer) for layer in self.layers]
         settings = asdict(MarchSettings())
         if self.samples != 1:  # keys of one ray are those of before there was a choice
@@ -331,10 +345,22 @@ class _Work:
             "model": MODEL_VERSION,
             "cameras": hashlib.sha256(b"".join(_bytes(c) for c in self.cameras)).hexdigest(),
             "settings": settings,
-            "renderer": self._renderer(),
+            "renderer": self.renderer,
             **(parts[0] if len(parts) == 1 else {"parts": parts}),
         }
         return hashlib.sha256(json.dumps(ingredients, sort_keys=True).encode()).hexdigest()[:40]
+
+
+def _check_parts(dataset: Dataset, parts: tuple[BasicScene, ...]) -> None:
+    for scene in parts:
+        if (scene.transfer is None) == (not scene.isosurfaces):
+            raise DataError(
+                f"{dataset.name}/{scene.name}",
+                "the scene has both a transfer function and isosurfaces"
+                if scene.isosurfaces
+                else "the scene has no transfer function",
+                "Give it one or the other in the catalogue",
+            )
 
 
 def _torch_device() -> str:

@@ -20,13 +20,13 @@ bool all_finite(const float* p, int64_t n) {
 }
 
 bool all_finite(const DecodeShape& s, const Networks& nets) {
-  bool fine = all_finite(nets.embedding, s.embedding);
+  bool valid = all_finite(nets.embedding, s.embedding);
   for (int net = 0; net < s.nets; ++net)
-    fine = fine && all_finite(nets.first[net], int64_t{1} * s.hidden * (s.inputs + s.embedding)) &&
-           all_finite(nets.first_bias[net], s.hidden) &&
-           all_finite(nets.second[net], int64_t{1} * s.out_width[net] * s.hidden) &&
-           all_finite(nets.second_bias[net], s.out_width[net]);
-  return fine;
+    valid = valid && all_finite(nets.first[net], int64_t{1} * s.hidden * (s.inputs + s.embedding)) &&
+            all_finite(nets.first_bias[net], s.hidden) &&
+            all_finite(nets.second[net], int64_t{1} * s.out_width[net] * s.hidden) &&
+            all_finite(nets.second_bias[net], s.out_width[net]);
+  return valid;
 }
 
 // Parts of one piece of memory; with a null base it only counts.

@@ -37,8 +37,8 @@ int ceil_of(double x) {
 }
 
 // The tiles that an ellipse meets, one span per row of tiles. Rows and columns are those of pixel centres.
-template <class Take>
-void spans(const Splat& s, const Frame& frame, Take take) {
+template <class Emit>
+void spans(const Splat& s, const Frame& frame, Emit emit) {
   const double height = frame.view.height, width = frame.view.width;
   const double low = std::max(s.v - s.top, 0.5), high = std::min(s.v + s.top, height - 0.5);
   const int from = ceil_of(low - 0.5), to = floor_of(high - 0.5);
@@ -46,7 +46,7 @@ void spans(const Splat& s, const Frame& frame, Take take) {
   if (from / TILE == to / TILE) {  // most Gaussians of a trained scene lie in one tile
     const int first = ceil_of(std::max(s.u - s.reach, 0.5) - 0.5);
     const int last = floor_of(std::min(s.u + s.reach, width - 0.5) - 0.5);
-    if (first / TILE == last / TILE) return take(from / TILE * frame.across + first / TILE, 1);
+    if (first / TILE == last / TILE) return emit(from / TILE * frame.across + first / TILE, 1);
   }
   for (int row = from / TILE; row <= to / TILE; ++row) {
     const float above = static_cast<float>(std::max(row * TILE, from) + 0.5 - s.v);
@@ -59,12 +59,12 @@ void spans(const Splat& s, const Frame& frame, Take take) {
     if (right < left) continue;
     const int first = ceil_of(left - 0.5), last = floor_of(right - 0.5);
     if (first > last) continue;
-    take(row * frame.across + first / TILE, last / TILE - first / TILE + 1);
+    emit(row * frame.across + first / TILE, last / TILE - first / TILE + 1);
   }
 }
 
 // A Gaussian in a tile before the tile is sorted. Depths are positive, so their bits sort as integers.
-struct Loose {
+struct Intersection {
   uint32_t depth, splat, slot;
 };
 
@@ -91,7 +91,7 @@ class SpanList {
 
 // Distributes the Gaussians over the tiles, each tile's by index. Pieces of the Gaussians are counted and filled in
 // parallel; the result does not depend on how many pieces there are. Returns the tiles' Gaussians, to be sorted.
-Buffer bin(Frame& frame, int64_t* visible) {
+Buffer bin(Frame& frame) {
   const Splat* const splats = frame.splats.as<Splat>();
   const int64_t tiles = static_cast<int64_t>(frame.across) * frame.down, count = frame.count;
   const int64_t pieces = std::clamp<int64_t>(count / 1024, 1, 2 * threads());
@@ -140,14 +140,13 @@ Buffer bin(Frame& frame, int64_t* visible) {
   frame.intersections = total;
   first_slot[count] = static_cast<uint32_t>(total);
   int64_t slots = 0;
-  *visible = 0;
   for (Piece& piece : all) {
     slots += std::exchange(piece.slots, slots);
-    *visible += piece.visible;
+    frame.statistics.visible += piece.visible;
   }
 
-  Buffer loose_memory(std::max<int64_t>(total, 1) * sizeof(Loose));
-  Loose* const loose = loose_memory.as<Loose>();
+  Buffer memory(std::max<int64_t>(total, 1) * sizeof(Intersection));
+  Intersection* const unsorted = memory.as<Intersection>();
   parallel(pieces, [&](int64_t at, int) {
     uint32_t* const next = counts + at * tiles;
     uint32_t slot = static_cast<uint32_t>(all[at].slots);
@@ -157,10 +156,10 @@ Buffer bin(Frame& frame, int64_t* visible) {
       uint32_t depth;
       std::memcpy(&depth, &splats[span->splat].depth, 4);
       for (uint32_t t = span->first; t < span->first + span->count; ++t)
-        loose[next[t]++] = {depth, span->splat, slot++};
+        unsorted[next[t]++] = {depth, span->splat, slot++};
     }
   });
-  return loose_memory;
+  return memory;
 }
 
 struct Key {
@@ -168,8 +167,8 @@ struct Key {
 };
 
 // Sorts one tile near to far; equal depths stay in the order of their indices.
-void sort_tile(const Loose* loose, int64_t count, Entry* entries, Key* keys, Key* spare) {
-  for (int64_t i = 0; i < count; ++i) keys[i] = {loose[i].depth, static_cast<uint32_t>(i)};
+void sort_tile(const Intersection* unsorted, int64_t count, Entry* entries, Key* keys, Key* spare) {
+  for (int64_t i = 0; i < count; ++i) keys[i] = {unsorted[i].depth, static_cast<uint32_t>(i)};
   if (count <= 32) {
     for (int64_t i = 1; i < count; ++i) {
       const Key key = keys[i];
@@ -191,7 +190,7 @@ void sort_tile(const Loose* loose, int64_t count, Entry* entries, Key* keys, Key
       std::swap(keys, spare);
     }
   }
-  for (int64_t i = 0; i < count; ++i) entries[i] = {loose[keys[i].place].splat, loose[keys[i].place].slot};
+  for (int64_t i = 0; i < count; ++i) entries[i] = {unsorted[keys[i].place].splat, unsorted[keys[i].place].slot};
 }
 
 Tile tile_of(const Frame& frame, int64_t at) {
@@ -221,15 +220,10 @@ std::vector<uint32_t> longest_first(const Frame& frame) {
 
 }  // namespace
 
-FrameStatistics& last_frame() {
-  static FrameStatistics* statistics = new FrameStatistics;
-  return *statistics;
-}
-
 std::unique_ptr<Frame> forward(const Inputs& in, const View& view, const Images& out, int32_t* radii, bool keep) {
   auto frame = std::make_unique<Frame>();
   const Kernels& use = *(frame->kernels = &kernels());
-  FrameStatistics statistics;
+  FrameStatistics& statistics = frame->statistics;
   Clock clock;
   frame->view = view;
   frame->count = in.count;
@@ -237,15 +231,14 @@ std::unique_ptr<Frame> forward(const Inputs& in, const View& view, const Images&
   frame->down = (view.height + TILE - 1) / TILE;
   frame->splats = Buffer(std::max<int64_t>(in.count, 1) * sizeof(Splat));
   Splat* const splats = frame->splats.as<Splat>();
-  std::atomic<bool> fine{true};
+  std::atomic<bool> valid{true};
   parallel_ranges(in.count, 1024, [&](int64_t begin, int64_t end, int) {
-    if (!use.project(in, view, splats, radii, begin, end)) fine = false;
+    if (!use.project(in, view, splats, radii, begin, end)) valid = false;
   });
-  if (!fine) return nullptr;
+  if (!valid) return nullptr;
   statistics.project = clock.lap();
 
-  int64_t visible = 0;
-  const Buffer loose = bin(*frame, &visible);
+  const Buffer unsorted = bin(*frame);
   statistics.bin = clock.lap();
 
   frame->order = longest_first(*frame);
@@ -256,8 +249,8 @@ std::unique_ptr<Frame> forward(const Inputs& in, const View& view, const Images&
   parallel(static_cast<int64_t>(frame->order.size()), [&](int64_t item, int thread) {
     const int64_t start = starts[frame->order[item]];
     Key* const mine = keys.as<Key>() + thread * 2 * longest;
-    sort_tile(loose.as<Loose>() + start, starts[frame->order[item] + 1] - start, frame->entries.as<Entry>() + start,
-              mine, mine + longest);
+    sort_tile(unsorted.as<Intersection>() + start, starts[frame->order[item] + 1] - start,
+              frame->entries.as<Entry>() + start, mine, mine + longest);
   });
   statistics.sort = clock.lap();
 
@@ -269,17 +262,13 @@ std::unique_ptr<Frame> forward(const Inputs& in, const View& view, const Images&
     evaluations += use.blend(in, splats, tile_of(*frame, order[item]), view, out, scratch.of(thread));
   });
   statistics.blend = clock.lap();
-  statistics.visible = visible;
-  statistics.intersections = frame->intersections;
   statistics.evaluations = evaluations;
-  last_frame() = statistics;
   return frame;
 }
 
 void backward(const Frame& frame, const Inputs& in, const ConstImages& out, const ConstImages& grad,
               const Gradients& gradients) {
   const Kernels& use = *frame.kernels;
-  Clock clock;
   const int64_t size = slot_size(in.channels);
   Buffer slots(std::max<int64_t>(frame.intersections, 1) * size * sizeof(float));
   const Scratch scratch(use.scratch(in.channels));
@@ -288,12 +277,10 @@ void backward(const Frame& frame, const Inputs& in, const ConstImages& out, cons
     use.blend_backward(in, frame.splats.as<Splat>(), tile_of(frame, order[item]), frame.view, out, grad,
                        slots.as<float>(), scratch.of(thread));
   });
-  last_frame().blend_backward = clock.lap();
   parallel_ranges(in.count, 512, [&](int64_t begin, int64_t end, int) {
     use.project_backward(in, frame.view, frame.splats.as<Splat>(), frame.first_slot.as<uint32_t>(), slots.as<float>(),
                          gradients, begin, end);
   });
-  last_frame().project_backward = clock.lap();
 }
 
 double photometric(const float* x, const float* y, int64_t height, int64_t width, int channels, float absolute,

@@ -3,7 +3,7 @@
 //
 //   means, quats, scales, opacities                                            features
 //        | project, by Gaussian                                                    |
-//   splats [N] --- bin: spans of tiles, counted, then filled --> loose [E]         |
+//   splats [N] --- bin: spans of tiles, counted, then filled --> unsorted [E]      |
 //        |                                                          | sort, by tile, near to far
 //        |                                                      entries [E]        |
 //        +----------------------------+-----------------------------+--------------+
@@ -28,11 +28,11 @@
 namespace econgs {
 
 struct FrameStatistics {
-  double project = 0, sort = 0, bin = 0, blend = 0, blend_backward = 0, project_backward = 0;  // seconds
-  int64_t visible = 0, intersections = 0, evaluations = 0;
+  double project = 0, sort = 0, bin = 0, blend = 0;  // seconds
+  int64_t visible = 0, evaluations = 0;              // Gaussians; pixel x Gaussian, by lanes
 };
 
-// What the backward pass needs of a forward pass.
+// What the backward pass needs of a forward pass, and the statistics of that pass.
 struct Frame {
   const Kernels* kernels;
   View view;
@@ -44,9 +44,8 @@ struct Frame {
   Buffer starts;             // int64 by tile, tiles + 1
   Buffer blocks;             // uint64 by entry
   std::vector<uint32_t> order;  // tiles, those with most entries first
+  FrameStatistics statistics;
 };
-
-FrameStatistics& last_frame();
 
 // Returns null if `project` met unusable input. Throws std::length_error on absurd numbers of intersections.
 std::unique_ptr<Frame> forward(const Inputs&, const View&, const Images&, int32_t* radii, bool keep);

@@ -307,9 +307,14 @@ def bench_blend(channels: int = 3) -> float:
     return float(_native.bench_blend(channels))
 
 
-def last_frame() -> dict[str, float]:
-    """Seconds by stage, intersections and lane evaluations of the last frame."""
-    return dict(_native.last_frame())
+def statistics(image: Tensor) -> dict[str, float]:
+    """Seconds by stage, visible Gaussians, intersections with tiles and lane evaluations of a frame.
+
+    Args:
+        image: an output of :func:`rasterise` that has a gradient.
+    """
+    node: Any = image.grad_fn
+    return dict(node.frame.statistics)
 
 
 _configure()

@@ -18,8 +18,8 @@ using namespace nb::literals;  // "name"_a
 using Array = nb::ndarray<float, nb::c_contig, nb::device::cpu>;
 using In = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
 
-inline void expect(bool fine, const char* what) {
-  if (!fine) throw std::invalid_argument(what);
+inline void expect(bool valid, const char* what) {
+  if (!valid) throw std::invalid_argument(what);
 }
 
 template <class A>

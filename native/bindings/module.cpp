@@ -245,7 +245,18 @@ std::vector<std::string> names_of(Condition condition) {
 
 NB_MODULE(_native, m) {
   m.doc() = "Compiled kernels of the splatting core; call them through econgs.splat.native.";
-  nb::class_<Frame>(m, "Frame");
+  nb::class_<Frame>(m, "Frame").def_prop_ro("statistics", [](const Frame& frame) {
+    const FrameStatistics& s = frame.statistics;
+    nb::typed<nb::dict, std::string, double> d;
+    d["project"] = s.project;
+    d["sort"] = s.sort;
+    d["bin"] = s.bin;
+    d["blend"] = s.blend;
+    d["visible"] = s.visible;
+    d["intersections"] = frame.intersections;
+    d["evaluations"] = s.evaluations;
+    return d;
+  });
 
   m.def("built_isas", [] { return names_of([](const Kernels&) { return true; }); });
   m.def(
@@ -288,18 +299,4 @@ NB_MODULE(_native, m) {
 
   m.def("reference_kernel", reference_kernel, nb::call_guard<nb::gil_scoped_release>());
   m.def("bench_blend", bench_blend, "channels"_a, nb::call_guard<nb::gil_scoped_release>());
-  m.def("last_frame", [] {
-    const FrameStatistics s = last_frame();
-    nb::typed<nb::dict, std::string, double> d;
-    d["project"] = s.project;
-    d["sort"] = s.sort;
-    d["bin"] = s.bin;
-    d["blend"] = s.blend;
-    d["blend_backward"] = s.blend_backward;
-    d["project_backward"] = s.project_backward;
-    d["visible"] = s.visible;
-    d["intersections"] = s.intersections;
-    d["evaluations"] = s.evaluations;
-    return d;
-  });
 }

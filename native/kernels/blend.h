@@ -32,16 +32,16 @@ INLINE void make_lattice(Lattice& at) {
   for (int band = 0; band < LANES * BAND_VECTORS; ++band) at.first[band] = (float)(band * BLOCK_ROWS) + 0.5f;
 }
 
-// Calls take(i, x, y, many) for each row of four pixels of a block: i is the place of the first in the state, (x, y)
+// Calls emit(i, x, y, many) for each row of four pixels of a block: i is the place of the first in the state, (x, y)
 // its place in the tile, of which `many` pixels of the row are part.
-template <class Take>
-INLINE void rows_of(const Tile& tile, Take take) {
+template <class Emit>
+INLINE void rows_of(const Tile& tile, Emit emit) {
   for (int block = 0; block < BLOCKS; ++block)
     for (int row = 0; row < BLOCK_ROWS; ++row) {
       const int i = block * LANES + 4 * row, x = block % 4 * 4, y = block / 4 * BLOCK_ROWS + row;
       if (y >= tile.height || x >= tile.width) continue;
-      if (x + 4 <= tile.width) take(i, x, y, 4);  // a constant, which unrolls the loop over them
-      else take(i, x, y, tile.width - x);
+      if (x + 4 <= tile.width) emit(i, x, y, 4);  // a constant, which unrolls the loop over them
+      else emit(i, x, y, tile.width - x);
     }
 }
 

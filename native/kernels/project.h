@@ -139,11 +139,11 @@ INLINE Geometry geometry(const Batch& g, const View& view) {
 INLINE float narrow(double x) { return (float)(x > 1e30 ? 1e30 : x < -1e30 ? -1e30 : x); }
 
 static bool project(const Inputs& in, const View& view, Splat* splats, int32_t* radii, int64_t begin, int64_t end) {
-  bool fine = true;
+  bool valid = true;
   for (int64_t n = begin; n < end; ++n) {  // 0 * x is NaN where x is NaN or infinite
     float finite = 0.0f;
     for (int k = 0; k < in.channels; ++k) finite += 0.0f * in.features[n * in.channels + k];
-    fine &= finite == 0.0f;
+    valid &= finite == 0.0f;
   }
   for (int64_t start = begin; start < end; start += DLANES) {
     const Batch g = gather(in, start, end);
@@ -173,7 +173,7 @@ static bool project(const Inputs& in, const View& view, Splat* splats, int32_t* 
     const vd a = -0.5 * log2e * o.c * inverse, c = -0.5 * log2e * inverse_c;
     for (int l = 0; l < DLANES && start + l < end; ++l) {
       const int64_t n = start + l;
-      fine &= sound[l] != 0;
+      valid &= sound[l] != 0;
       int across = 0;
       if (visible[l]) {  // ... and of a pixel, not only lie between two
         const double first_x = __builtin_ceil(left[l] - 0.5), last_x = __builtin_floor(right[l] - 0.5);
@@ -200,7 +200,7 @@ static bool project(const Inputs& in, const View& view, Splat* splats, int32_t* 
       s.reach = narrow(reach[l]);
     }
   }
-  return fine;
+  return valid;
 }
 
 static void project_backward(const Inputs& in, const View& view, const Splat* splats, const uint32_t* first_slot,

@@ -53,7 +53,7 @@ def no_backend(monkeypatch):
 def test_splits_share_one_rendering(cache, monkeypatch):
     data = dataset()
     train = views_of(data, "s", TRAIN, cache=cache)
-    monkeypatch.setattr(render_views._Work, "render", None)  # all else comes from the cache
+    monkeypatch.setattr(render_views.RenderJob, "render", None)  # all else comes from the cache
     val = views_of(data, "s", replace(TRAIN, split="val"), cache=cache)
     both = views_of(data, "s", replace(TRAIN, split="trainval"), cache=cache)
     assert (len(train), len(val), len(both)) == (11, 1, 12)
@@ -78,7 +78,7 @@ def test_a_hit_equals_the_rendering_and_a_damaged_entry_is_made_again(cache):
 
 
 def key_of(data, request=TRAIN, renderer="auto"):
-    return render_views._Work(data, data.parts("s"), request, renderer).key
+    return render_views.RenderJob.of(data, data.parts("s"), request, renderer).key
 
 
 def test_the_key_follows_content_and_nothing_else():
@@ -117,7 +117,7 @@ def test_the_key_follows_content_and_nothing_else():
 
 def test_keys_of_scenes_stay_what_they_were(monkeypatch):
     """A change of key renders every recorded ground truth anew: only MODEL_VERSION may do that."""
-    monkeypatch.setattr(render_views._Work, "_renderer", lambda self: {"renderer": "none"})
+    monkeypatch.setattr(render_views.RenderJob, "renderer", {"renderer": "none"})
     values = np.arange(64, dtype=np.uint8).reshape(4, 4, 4)
     one_ray = key_of(dataset(values), replace(TRAIN, samples=1))
     assert one_ray == "f4bde0f2ea9e342e50fe69bc696993dfe24457a6"

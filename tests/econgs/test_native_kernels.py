@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -187,9 +188,15 @@ def test_denormals_are_left_to_the_caller() -> None:
     assert (torch.full((8,), 1e-40) * 0.5).min().item() > 0
 
 
-def test_timing_hooks_report() -> None:
-    everything()
-    frame = native.last_frame()
-    assert frame["visible"] > 0
-    assert frame["evaluations"] >= frame["visible"]
+def test_each_frame_has_its_own_statistics() -> None:
+    def numbers(count: int) -> tuple[int, int, float]:
+        leaves = [one.requires_grad_(True) for one in cloud(count)]
+        image, _, _, radii = native.rasterise(Splats(*leaves, camera()))
+        frame = native.statistics(image)
+        return int(frame["visible"]), int((radii > 0).sum()), frame["evaluations"]
+
+    with ThreadPoolExecutor(4) as pool:
+        for visible, expected, evaluations in pool.map(numbers, [3000, 10] * 20):
+            assert visible == expected > 0
+            assert evaluations >= visible
     assert native.bench_blend() > 0
