@@ -19,18 +19,8 @@ from econgs_bench.bench.commands.arguments import (
 from econgs_bench.bench.commands.results import print_grid
 from econgs_bench.bench.commands.run import request
 from econgs_bench.bench.store.store import Store
-from econgs_bench.bench.tune.study import (
-    Study,
-    Trial,
-    Trials,
-    command,
-    front,
-    importances,
-    means,
-    objective_of,
-    smaller,
-    studies,
-)
+from econgs_bench.bench.tune.objective import front, objective_of
+from econgs_bench.bench.tune.study import Study, Trial, Trials, command, importances, means, smaller, studies
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.methods.options import label, written
 from econgs_bench.reports.tables.grid import Field

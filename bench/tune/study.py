@@ -11,24 +11,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import ValidationError
 
 from econgs_bench.bench.plan.planner import Planner
 from econgs_bench.bench.results.tables import stored_tables
 from econgs_bench.bench.store.progress import now
 from econgs_bench.bench.store.records import Job, Record, Value, derived_seed
 from econgs_bench.bench.store.store import Store, write_text
+from econgs_bench.bench.tune.objective import Objective, objective_of
+from econgs_bench.bench.tune.space import PUBLISHED, Range, Stored, search_space, starts
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.hashes import hash_of
-from econgs_bench.datasets.names import unknown
-from econgs_bench.methods.interface import MethodSpec, Option, OptionValue
-from econgs_bench.methods.options import CONFIGURATION, ITERATIONS, declared, resolve, written
+from econgs_bench.methods.interface import MethodSpec, OptionValue
+from econgs_bench.methods.options import ITERATIONS, resolve, written
 from econgs_bench.reports.schema import joined
 
 if TYPE_CHECKING:
@@ -39,294 +39,20 @@ if TYPE_CHECKING:
 FOLDER = "studies"
 """Folder of a run store with its studies."""
 SCHEMA = 1
-REFERENCE = (20.0, 64.0)
-"""PSNR (dB) and size of a scene (MiB) at which the area of a front ends, unless others are named."""
-REACH = 4.0
-"""A number is searched from its smallest starting value / this to its largest starting value x this."""
-_DIGITS = 3
-"""Significant digits of values that are tried, so that a copied command line gives the same jobs."""
 FIRST = 4
 """Trials, starting points among them, after which proposals follow from a model of the scores."""
 ENOUGH = 20
 """Trials that must have succeeded before options are said to be important: five are in the best quarter."""
-PUBLISHED = "paper"
-"""Configuration of a method that the first trial has."""
 LOSS = 0.1
 """dB by which a trial that is as good as the defaults may lie below them, mean over scenes and seeds."""
 SCENE_LOSS = 0.3
 """dB by which it may on any scene; repeated fits differ by as much."""
 
 
-# --------------------------------------------------------------------------- objective
-
-
-@dataclass(frozen=True)
-class Objective:
-    """The score of a trial; the larger, the better.
-
-    Attributes:
-        kind: "front": area under the front of PSNR over the logarithm of size, dB x octaves; "point": that of
-            the method's own size alone; "size": greatest PSNR of a model of at most that size, dB; "psnr":
-            greatest PSNR, dB.
-        text: as on the command line: "front=20,64", "point=20,64", "size=0.5" or "psnr".
-        psnr: reference of a front or point, dB.
-        mib: reference of a front or point, or size, MiB.
-    """
-
-    kind: Literal["front", "point", "size", "psnr"]
-    text: str
-    psnr: float = 0.0
-    mib: float = math.inf
-
-    @property
-    def unit(self) -> str:
-        return "dB x octaves" if self.has_reference else "dB"
-
-    @property
-    def has_reference(self) -> bool:
-        """Whether models beyond a reference point score 0."""
-        return self.kind in ("front", "point")
-
-    @property
-    def every_rate(self) -> bool:
-        """Whether a trial has a model per rate, and not only one of the method's own size."""
-        return self.kind in ("front", "size")
-
-    @property
-    def title(self) -> str:
-        """The definition, for people."""
-        if self.kind == "front":
-            return f"area under PSNR over log2 of size, above {self.psnr:g} dB and below {self.mib:g} MiB"
-        if self.kind == "point":
-            return f"(PSNR - {self.psnr:g} dB) x log2({self.mib:g} MiB / size)"
-        if self.kind == "size":
-            return f"PSNR of a model of at most {self.mib:g} MiB"
-        return "PSNR"
-
-    def score(self, points: ArrayLike) -> float:
-        """Score of the models of one scene.
-
-        Where no model is as small as a size asks for, it is minus the octaves by which the smallest exceeds
-        that size: less than any PSNR, and more for smaller models.
-
-        Args:
-            points: (n, 2) size in MiB and PSNR in dB, n >= 1.
-        """
-        table = np.asarray(points, dtype=np.float64)
-        if self.has_reference:
-            return hypervolume(table, (self.psnr, self.mib))
-        fitting = table[table[:, 0] <= self.mib]
-        if len(fitting):
-            return float(fitting[:, 1].max())
-        return -float(np.log2(table[:, 0].min() / self.mib))
-
-
-def objective_of(text: str) -> Objective:
-    """An objective by its text: "front", "front=DB,MIB", "point", "point=DB,MIB", "size=MIB" or "psnr".
-
-    Raises:
-        DataError: another text, or numbers out of range.
-    """
-    kind, _, rest = text.partition("=")
-    try:
-        numbers = [float(part) for part in rest.split(",")] if rest else []
-    except ValueError:
-        numbers = [math.nan]
-    usable = all(map(math.isfinite, numbers)) and all(number > 0.0 for number in numbers[-1:])
-    if usable and kind in ("front", "point") and len(numbers) in (0, 2):
-        psnr, mib = numbers or REFERENCE
-        return Objective(kind, f"{kind}={psnr:g},{mib:g}", psnr, mib)  # type: ignore[arg-type]
-    if usable and kind == "size" and len(numbers) == 1:
-        return Objective("size", f"size={numbers[0]:g}", mib=numbers[0])
-    if text == "psnr":
-        return Objective("psnr", text)
-    raise DataError(
-        f"--objective {text}",
-        "no objective",
-        "Write front, front=DB,MIB (its reference point), point=DB,MIB, size=MIB or psnr",
-    )
-
-
-def hypervolume(points: ArrayLike, reference: tuple[float, float]) -> float:
-    """Area between the front of models and a reference point, dB x octaves.
-
-    Args:
-        points: (n, 2) size in MiB and PSNR in dB; those beyond the reference add nothing.
-        reference: PSNR in dB and size in MiB.
-    """
-    table = np.asarray(points, dtype=np.float64)
-    octaves = np.log2(reference[1] / table[:, 0]).clip(0.0)
-    gains = (table[:, 1] - reference[0]).clip(0.0)
-    order = np.argsort(-octaves)
-    widths = -np.diff(octaves[order], append=0.0)
-    return float(widths @ np.maximum.accumulate(gains[order]))
-
-
-def front(points: ArrayLike) -> list[int]:
-    """Positions of the points that no other point beats in size and PSNR, by size.
-
-    Args:
-        points: (n, 2) size and PSNR.
-    """
-    from econgs_bench.reports.fronts import pareto
-
-    places: dict[tuple[float, float], int] = {}
-    for place, (size, psnr) in enumerate(np.asarray(points, dtype=np.float64).tolist()):
-        places.setdefault((size, psnr), place)
-    return [places[point] for point in pareto(places, -1)]
-
-
-# --------------------------------------------------------------------------- search space
-
-
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Range(_Model):
-    """Values of an option that a study tries.
-
-    Attributes:
-        low, high: bounds of a number, inclusive.
-        log: whether numbers are drawn on a logarithmic scale.
-        whole: whether numbers are whole.
-        choices: the only values, if not empty.
-    """
-
-    low: float = 0.0
-    high: float = 0.0
-    log: bool = False
-    whole: bool = False
-    choices: tuple[Value, ...] = ()
-
-    @property
-    def text(self) -> str:
-        """The range, for people."""
-        if self.choices:
-            return ", ".join(map(written, self.choices))
-        return f"{self.low:g} to {self.high:g}{' (log)' if self.log else ''}"
-
-    def distribution(self) -> Any:
-        """The range as Optuna knows it."""
-        from optuna import distributions
-
-        if self.choices:
-            return distributions.CategoricalDistribution(self.choices)
-        if self.whole:
-            return distributions.IntDistribution(int(self.low), int(self.high), log=self.log)
-        return distributions.FloatDistribution(self.low, self.high, log=self.log)
-
-    def tidy(self, value: OptionValue) -> OptionValue:
-        """A value of the range with few digits."""
-        if self.choices or isinstance(value, str):
-            return value
-        return int(value) if self.whole else min(max(_rounded(value), self.low), self.high)
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.{_DIGITS}g}")
-
-
-def range_of(option: Option, values: Sequence[OptionValue]) -> Range | None:
-    """What a study tries of an option that starts at some values; None if that cannot be told.
-
-    Choices are all tried. A number has the range that its declaration names (:attr:`Option.search`). Without
-    one it has that of :data:`REACH` around its starting values, within its declared range, and a logarithmic
-    scale where that spans more than a factor of :data:`REACH`. The declared range alone counts where no
-    starting value is above 0.
-    """
-    if option.choices or isinstance(option.default, bool):
-        return Range(choices=option.choices or (False, True))
-    if isinstance(option.default, str):
-        return None
-    whole = isinstance(option.default, int)
-    if option.search is not None:
-        low, high = option.search
-        return Range(low=low, high=high, log=0.0 < REACH * low < high, whole=whole)
-    numbers = [float(value) for value in values]
-    low, high = _rounded(min(numbers) / REACH), _rounded(max(numbers) * REACH)
-    if min(numbers) < 0.0 or high == 0.0:
-        if option.minimum is None or option.maximum is None:
-            return None
-        low, high = option.minimum, option.maximum
-    low = max(low, option.minimum if option.minimum is not None else low)
-    high = min(high, option.maximum if option.maximum is not None else high)
-    if whole:
-        low, high = math.ceil(low), math.floor(high)
-    return Range(low=low, high=high, log=0.0 < REACH * low < high, whole=whole)
-
-
-def starts(spec: MethodSpec, fixed: Mapping[str, OptionValue]) -> list[dict[str, OptionValue]]:
-    """Overrides of the first trials: the published settings, where a method has them, and its own defaults.
-
-    Args:
-        spec: the method.
-        fixed: options that every trial has.
-    """
-    if PUBLISHED not in spec.configurations or CONFIGURATION in fixed:
-        return [dict(fixed)]
-    return [{CONFIGURATION: PUBLISHED, **fixed}, dict(fixed)]
-
-
-def search_space(
-    spec: MethodSpec,
-    preset: str,
-    fixed: Mapping[str, OptionValue],
-    names: Sequence[str] = (),
-    swept: Sequence[str] = (),
-) -> dict[str, Range]:
-    """The options that a study varies, each with its range.
-
-    Args:
-        spec: the method.
-        preset: whose defaults the ranges are around.
-        fixed: options that every trial has; they are not varied.
-        names: the options; default: :attr:`MethodSpec.tunable`, else all that declare choices or both bounds,
-            and rate knobs that need a fit each.
-        swept: rate knobs of which every trial has all values; they are not varied.
-
-    Raises:
-        UnknownName: the method has no such option.
-        DataError: a named option cannot be varied, or the method has none that can.
-    """
-    declarations = declared(spec.options)
-    values = [resolve(spec, preset, start).values for start in starts(spec, fixed)]
-    ranges = {
-        name: range_of(option, [each[name] for each in values]) for name, option in declarations.items()
-    }
-    for name in names:
-        if name not in declarations:
-            raise unknown("option", name, declarations, of=f"method {spec.name}")
-        what = f"--option {name}"
-        if name in fixed:
-            raise DataError(what, "has one value in all trials (--set)", "Leave out one of the two")
-        if name in swept:
-            raise DataError(what, "every trial has all values of this rate knob", "Use --objective point")
-        if ranges[name] is None:
-            reason = "a text" if isinstance(declarations[name].default, str) else "0 without a maximum"
-            remedy = f"Others: {', '.join(one for one in ranges if ranges[one] and one not in fixed)}"
-            raise DataError(what, f"has no range: it is {reason}", remedy)
-    bounded = [
-        name
-        for name, option in declarations.items()
-        if option.choices
-        or isinstance(option.default, bool)
-        or (option.minimum is not None and option.maximum is not None)
-    ]
-    knobs = [knob.name for knob in spec.rate_knobs if knob.refit]
-    chosen = {*(names or (*(spec.tunable or bounded), *knobs))} - {*fixed, *swept}
-    space = {name: one for name, one in ranges.items() if name in chosen and one is not None}
-    if not space:
-        reason = "has no options to tune" + (" beside those of --set" if fixed else "")
-        remedy = "Declare options with a minimum and a maximum, or choices, in its spec"
-        raise DataError(f"method {spec.name!r}", reason, remedy)
-    return space
-
-
 # --------------------------------------------------------------------------- study
 
 
-class Point(_Model):
+class Point(Stored):
     """A model of a trial, measured on validation views.
 
     Attributes:
@@ -347,7 +73,7 @@ class Point(_Model):
         return self.bytes / 2**20
 
 
-class Trial(_Model):
+class Trial(Stored):
     """A trial that has ended.
 
     Attributes:
@@ -368,7 +94,7 @@ class Trial(_Model):
     points: tuple[Point, ...] = ()
 
 
-class Conditions(_Model):
+class Conditions(Stored):
     """What decides the scores of a study, apart from the method: studies under the same compare.
 
     Attributes:
@@ -388,7 +114,7 @@ class Conditions(_Model):
     split: Literal["val"] = "val"
 
 
-class Chosen(_Model):
+class Chosen(Stored):
     """The best trial.
 
     Attributes:
@@ -401,7 +127,7 @@ class Chosen(_Model):
     gains: dict[str, float]
 
 
-class Study(_Model):
+class Study(Stored):
     """A study as its file holds it.
 
     Attributes:

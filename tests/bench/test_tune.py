@@ -26,16 +26,9 @@ from econgs_bench.bench.store.records import Job, Record
 from econgs_bench.bench.store.store import Store
 from econgs_bench.bench.suites.suite import load_suite
 from econgs_bench.bench.tune import study as tune
-from econgs_bench.bench.tune.study import (
-    Point,
-    Trial,
-    Trials,
-    front,
-    hypervolume,
-    objective_of,
-    range_of,
-    search_space,
-)
+from econgs_bench.bench.tune.objective import front, hypervolume, objective_of
+from econgs_bench.bench.tune.space import range_of, search_space, starts
+from econgs_bench.bench.tune.study import Point, Trial, Trials
 from econgs_bench.datasets.errors import DataError, UnknownName
 from econgs_bench.methods.interface import OPTION, PRESETS, Option
 from econgs_bench.methods.options import parse_assignments, resolve
@@ -243,7 +236,7 @@ def test_every_method_has_options_to_tune_and_as_many_as_others(name, preset) ->
     space = search_space(spec, preset, {}, swept=knobs)
     untrained = {"mesh": 3, "sz3": 1, "zfp": 2}
     assert len(space) == untrained.get(name, 8)
-    for start in tune.starts(spec, {}):
+    for start in starts(spec, {}):
         values = resolve(spec, preset, start).values
         for option, one in space.items():
             assert one.distribution()._contains(one.distribution().to_internal_repr(values[option])), option
