@@ -57,6 +57,8 @@ COUNTED = 8
 """Most views in which the drawn Gaussians are counted."""
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from econgs_bench.datasets.camera import Camera
     from econgs_bench.datasets.edits import Edit
     from econgs_bench.datasets.scene import RGB
@@ -237,8 +239,7 @@ class Measure(MethodJob):
         encodes = context.inputs("encode")
         if context.spec is not None and len(encodes) > 1 and not context.spec.composable:
             raise Refused(f"{self.method} cannot render models of several groups together ({self.group})")
-        views_job = context.input("views")
-        source = views_job.of(ViewsResult)
+        source = context.input("views").of(ViewsResult)
         assert source is not None
         truth = context.truth(self.subject)
         units = stress_of(self.stress).get("units", 1.0)
@@ -275,21 +276,49 @@ class Measure(MethodJob):
         )
 
         context.report(stage="metrics")
+
+        def draw(camera: Camera) -> tuple[NDArray[Any], NDArray[Any]]:
+            answer = drawing.render(camera, scenes=scenes, edit=edit, background=background)
+            return answers.picture(answer, camera)
+
+        views = truth.views(self.split)
+        return MeasureResult(
+            load_seconds=load_seconds,
+            load_host_bytes=load_host_bytes,
+            **frames.model_dump(),
+            timing={"frame": frames.frame_seconds, **parts},
+            decoding=decoding,
+            frame_seconds_decoding=decoded_seconds,
+            parts_ruler=RULERS["parts"],
+            primitives=sum(answers.primitives(model.primitives(scene)) for scene in scenes),
+            **self._scores(context, draw, cameras, views),
+            features=_attributes(model, scenes, self.sampled),
+            pruning=_pruning(self, context, model, cameras, views) if self.prunable else None,
+            drawn=None if self.edit else mean_drawn(model, scenes, cameras),
+            renderer=renderer_of(source.cost.get(self.split)),
+            sketch=sketch(views),
+        )
+
+    def _scores(
+        self, context: Context, draw: Callable[[Camera], Any], cameras: Sequence[Camera], views: ViewSet
+    ) -> dict[str, Any]:
+        """Metrics of all views and their means, as fields of the result; the pictures are stored."""
         from econgs_bench.bench.metrics import evaluate, mean
         from econgs_bench.bench.metrics.flicker import Flicker, is_dense
         from econgs_bench.bench.metrics.image import to_8bit
         from econgs_bench.datasets.png import write_png
 
-        views = truth.views(self.split)
-        out = context.folder / "renders"
+        source = context.input("views")
+        stored = source.of(ViewsResult)
+        assert stored is not None
+        out, background = context.folder / "renders", stored.background
         out.mkdir(exist_ok=True)
         rows: list[ViewResult] = []
         missing: dict[str, str] = {}
         metrics = list(dict.fromkeys([*self.metrics, *COVERAGE]))
         flicker = Flicker() if is_dense(cameras) else None
         for index, camera in enumerate(cameras):
-            answer = drawing.render(camera, scenes=scenes, edit=edit, background=background)
-            rgb, alpha = answers.picture(answer, camera)
+            rgb, alpha = draw(camera)
             values, reasons = evaluate(views.images[index], rgb, alpha, background, metrics)
             missing.update(reasons)
             shown, displayed = to_8bit(views.composited(index)), to_8bit(rgb)
@@ -302,30 +331,17 @@ class Measure(MethodJob):
                     view=camera.name or f"{index:04d}",
                     metrics=values,
                     identical=bool(np.array_equal(displayed, shown)),
-                    truth_file=f"jobs/{views_job.job.id}/truth/{source.truth[self.split][index]}",
+                    truth_file=f"jobs/{source.job.id}/truth/{stored.truth[self.split][index]}",
                     render_file=f"jobs/{self.id}/renders/{file}",
                 )
             )
             context.report(stage="metrics", iteration=index + 1, iterations=len(cameras))
-        return MeasureResult(
-            load_seconds=load_seconds,
-            load_host_bytes=load_host_bytes,
-            **frames.model_dump(),
-            timing={"frame": frames.frame_seconds, **parts},
-            decoding=decoding,
-            frame_seconds_decoding=decoded_seconds,
-            parts_ruler=RULERS["parts"],
-            primitives=sum(answers.primitives(model.primitives(scene)) for scene in scenes),
-            metrics={name: mean([row.metrics[name] for row in rows]) for name in metrics},
-            missing=missing,
-            views=rows,
-            flicker=None if flicker is None else flicker.mean,
-            features=_attributes(model, scenes, self.sampled),
-            pruning=_pruning(self, context, model, cameras, views) if self.prunable else None,
-            drawn=None if self.edit else mean_drawn(model, scenes, cameras),
-            renderer=renderer_of(source.cost.get(self.split)),
-            sketch=sketch(views),
-        )
+        return {
+            "metrics": {name: mean([row.metrics[name] for row in rows]) for name in metrics},
+            "missing": missing,
+            "views": rows,
+            "flicker": None if flicker is None else flicker.mean,
+        }
 
     def rows(self, record: Record, lineage: Lineage) -> Mapping[str, Iterable[Row]]:
         tables: dict[str, Iterable[Row]] = {"results": [_row(self, record, lineage)]}

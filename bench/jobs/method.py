@@ -93,6 +93,11 @@ class MethodJob(Job):
 class TrainingJob(MethodJob):
     """A partition of scenes, or the fit of a group."""
 
+    @property
+    def method_version(self) -> str:
+        """That of the method that it ran."""
+        return str(self.identity["method"][1])
+
     @classmethod
     def of(
         cls,

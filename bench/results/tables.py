@@ -15,6 +15,7 @@ from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 from econgs_bench.bench.jobs.fit import FitResult
+from econgs_bench.bench.jobs.method import TrainingJob
 from econgs_bench.bench.jobs.truth import FILES, renderer_of
 from econgs_bench.bench.jobs.views import ViewsResult
 from econgs_bench.bench.results import identity
@@ -199,7 +200,7 @@ def _rows(record: Record, lineage: Lineage, methods: Mapping[str, MethodSpec]) -
 
 def _axes(record: Record, lineage: Lineage, choices: Mapping[str, int]) -> Row:
     job, fits = record.job, lineage.fits(record)
-    made = next((fit.job.identity for fit in fits), job.identity)
+    made = next((fit.job for fit in fits), job)
     fit = next((one for one in (fit.of(FitResult) for fit in fits) if one is not None), None)
     where = record.provenance or next((fit.provenance for fit in fits), None)
     fitted = [scene for fit in fits for scene in fit.job.scenes]
@@ -207,7 +208,7 @@ def _axes(record: Record, lineage: Lineage, choices: Mapping[str, int]) -> Row:
         "procedural": is_procedural(job.dataset),
         "fitted_scenes": json.dumps(fitted) if fitted else None,
         "scenes_together": choices.get(job.id),
-        "method_version": made["method"][1] if "method" in made else None,
+        "method_version": made.method_version if isinstance(made, TrainingJob) else None,
         "train_views": fit.train_views if fit else None,
         "samples": _samples(record, lineage),
         "machine": where.machine if where else None,

@@ -12,7 +12,7 @@ from dataclasses import asdict
 from typing import Any
 
 from econgs_bench.bench.jobs.fit import Fit
-from econgs_bench.bench.jobs.method import MethodJob
+from econgs_bench.bench.jobs.method import TrainingJob
 from econgs_bench.bench.machine.provenance import source_hash
 from econgs_bench.bench.store.lineage import Lineage
 from econgs_bench.bench.store.records import Job, Record
@@ -33,15 +33,14 @@ def changes(fits: Iterable[Record], methods: Mapping[str, MethodSpec]) -> str:
         fits: records of fit jobs.
         methods: name -> spec of today; fits of other methods have no changes.
     """
-    jobs = [fit.job for fit in fits if isinstance(fit.job, MethodJob)]
+    jobs = [fit.job for fit in fits if isinstance(fit.job, TrainingJob)]
     found = (_changes(job, methods[job.method]) for job in jobs if job.method in methods)
     return ", ".join(dict.fromkeys(change for one in found for change in one))
 
 
-def _changes(job: MethodJob, spec: MethodSpec) -> list[str]:
-    _, version = job.identity["method"]
-    if version != spec.version:
-        return [f"version {version} (today {spec.version})"]
+def _changes(job: TrainingJob, spec: MethodSpec) -> list[str]:
+    if job.method_version != spec.version:
+        return [f"version {job.method_version} (today {spec.version})"]
     if job.preset not in spec.iterations:
         return []
     try:
@@ -72,7 +71,7 @@ def of_other_source(records: Iterable[Record], methods: Mapping[str, MethodSpec]
             continue
         if (name := job.method) not in methods:
             continue
-        if job.identity["method"][1] == methods[name].version:
+        if job.method_version == methods[name].version:
             sources[name].add(made.source)
     here = {name: source_hash(methods[name]) for name in sources}
     return sorted(name for name, found in sources.items() if here[name] is not None and found != {here[name]})
