@@ -157,9 +157,9 @@ def run(
     """
     from econgs_bench.bench.run.display import Silence, make_display
     from econgs_bench.bench.run.experiment import execute
-    from econgs_bench.bench.run.request import Request
+    from econgs_bench.bench.run.request import RunRequest
 
-    request = Request.of(
+    request = RunRequest.of(
         str(suite), out, plugins,
         datasets=tuple(map(str, datasets)), scenes=tuple(scenes), composed=composed, methods=tuple(methods),
         seeds=tuple(seeds), preset=preset, split=split, samples=None if samples == "" else samples,

@@ -15,7 +15,7 @@ from econgs_bench.bench.results.versions import of_other_source
 from econgs_bench.bench.run.display import make_display, span
 from econgs_bench.bench.run.limits import Limits
 from econgs_bench.bench.run.plugins import plugin_folders
-from econgs_bench.bench.run.request import Request
+from econgs_bench.bench.run.request import RunRequest
 from econgs_bench.bench.store.records import Job, Record
 from econgs_bench.bench.store.store import Store
 from econgs_bench.reports.progress import step
@@ -180,7 +180,7 @@ def _state(job: Job, record: Record | None, estimate: Estimate | None, store: St
     return f"{words}, about {span(estimate.seconds_for(job))}" if estimate is not None else words
 
 
-def request(options: Namespace, **others: Any) -> Request:
+def request(options: Namespace, **others: Any) -> RunRequest:
     """What the command line asks for.
 
     Args:
@@ -192,4 +192,4 @@ def request(options: Namespace, **others: Any) -> Request:
     given = vars(options) | {"overrides": parse_assignments(options.set)} | others
     if "time_limit" in given:
         given["limits"] = Limits(options.time_limit, options.memory_limit)
-    return Request.of(**given)
+    return RunRequest.of(**given)

@@ -8,7 +8,7 @@ from typing import TypeVar
 from econgs_bench.bench.jobs.encode import EncodeResult
 from econgs_bench.bench.jobs.fit import FitResult
 from econgs_bench.bench.jobs.partition import PartitionResult
-from econgs_bench.bench.store.lineage import Model
+from econgs_bench.bench.store.lineage import ModelRecords
 from econgs_bench.bench.store.records import Record, Row
 
 _N = TypeVar("_N", int, float)
@@ -29,7 +29,7 @@ def largest(values: Iterable[_N | None]) -> _N | None:
     return max((value for value in values if value is not None), default=None)
 
 
-def costs(rendered: Sequence[str], models: list[Model]) -> Row:
+def costs(rendered: Sequence[str], models: list[ModelRecords]) -> Row:
     """Bytes and seconds of all models together; what any model lacks, their sum lacks."""
     costs = [_cost(rendered, model) for model in models]
     names = set(costs[0]).intersection(*costs[1:]) if costs else ()
@@ -42,7 +42,7 @@ def costs(rendered: Sequence[str], models: list[Model]) -> Row:
     }
 
 
-def _cost(rendered: Sequence[str], model: Model) -> dict[str, float]:
+def _cost(rendered: Sequence[str], model: ModelRecords) -> dict[str, float]:
     """Bytes and seconds of those scenes of a job that one model holds."""
     encode = model.encode.of(EncodeResult) if model.encode is not None else None
     if model.encode is None or encode is None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from econgs_bench.bench.plan.selection import Selection
     from econgs_bench.bench.run.display import Display
     from econgs_bench.bench.run.executor import Executor, Outcome
-    from econgs_bench.bench.run.request import Execution, Request
+    from econgs_bench.bench.run.request import Execution, RunRequest
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Experiment:
 
 
 def execute(
-    request: Request,
+    request: RunRequest,
     display: Display,
     plan: Callable[[Selection], Planner] = Planner,
 ) -> Experiment:

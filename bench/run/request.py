@@ -41,7 +41,7 @@ class Execution:
 
 
 @dataclass(frozen=True)
-class Request:
+class RunRequest:
     """One run.
 
     Attributes:

@@ -11,7 +11,7 @@ from econgs_bench.bench.store.records import Record
 
 
 @dataclass(frozen=True)
-class Model:
+class ModelRecords:
     """The records behind a model; None for those that the store lacks."""
 
     encode: Record | None
@@ -44,7 +44,7 @@ class Lineage:
             self._needed[key] = [self.by_id[name] for name in names] if whole else []
         return self._needed[key]
 
-    def models(self, record: Record) -> list[Model]:
+    def models(self, record: Record) -> list[ModelRecords]:
         """The models that a fit, encode or measure job is about: several of a composition."""
         return self._models[record.job.id]
 
@@ -80,16 +80,16 @@ class Lineage:
         return found if {record.job.subject, *record.job.scenes} & found.keys() else None
 
     @cached_property
-    def _models(self) -> Mapping[str, list[Model]]:
+    def _models(self) -> Mapping[str, list[ModelRecords]]:
         return {record.job.id: list(self._behind(record)) for record in self}
 
-    def _behind(self, record: Record) -> Iterator[Model]:
+    def _behind(self, record: Record) -> Iterator[ModelRecords]:
         if record.job.kind == "fit":
-            yield Model(None, record, self._one(record, "partition"))
+            yield ModelRecords(None, record, self._one(record, "partition"))
         else:
             for encode in [record] if record.job.kind == "encode" else self.needed(record, "encode"):
                 fit = self._one(encode, "fit")
-                yield Model(encode, fit, self._one(fit, "partition"))
+                yield ModelRecords(encode, fit, self._one(fit, "partition"))
 
     def _one(self, record: Record | None, kind: str) -> Record | None:
         return next(iter(self.needed(record, kind)), None)

@@ -45,7 +45,7 @@ JobId = Annotated[str, Field(pattern=f"^({'|'.join(KINDS)})-[0-9a-f]{{16}}$")]
 """Name of a job and of its folder."""
 PictureFile = Annotated[str, Field(pattern=r"^[^/\\\x00-\x1f]+\.png$")]
 """Name of a picture in the folder of its job."""
-Views = Annotated[int, Field(ge=0, le=1_000_000)]
+ViewCount = Annotated[int, Field(ge=0, le=1_000_000)]
 Pixels = Annotated[int, Field(ge=0, le=1_000_000)]
 
 
@@ -61,8 +61,8 @@ class Request(_Model):
             records have 1.
     """
 
-    train_views: Views
-    test_views: Views
+    train_views: ViewCount
+    test_views: ViewCount
     width: Pixels
     height: Pixels
     samples: Count = 1

@@ -21,7 +21,7 @@ PARTS: tuple[Part, ...] = ("truth", "input", "fit", "test")
 
 
 @dataclass(frozen=True)
-class Kind:
+class StressKind:
     """A kind of stress.
 
     Attributes:
@@ -54,37 +54,39 @@ def _choice(*choices: str) -> Callable[[str], str]:
     return read
 
 
-def _edit(name: str) -> Kind:
+def _edit(name: str) -> StressKind:
     def read(text: str) -> str:
         edit_of("scene", f"{name}={text}")
         return text
 
-    return Kind("truth", f"the scene after an edit of {name}", read)
+    return StressKind("truth", f"the scene after an edit of {name}", read)
 
 
-KINDS: dict[str, Kind] = {
+KINDS: dict[str, StressKind] = {
     **{name: _edit(name) for name in EDITS},
-    "views": Kind("input", "number of training views, 2 or more, spread out", _number(2, whole=True)),
-    "cameras": Kind(
+    "views": StressKind("input", "number of training views, 2 or more, spread out", _number(2, whole=True)),
+    "cameras": StressKind(
         "input", "training cameras of one `hemisphere` or one `ring`", _choice("hemisphere", "ring")
     ),
-    "noise": Kind(
+    "noise": StressKind(
         "input", "standard deviation of the training pictures' noise, in steps of 1/255", _number(0.0, 255.0)
     ),
-    "poses": Kind("input", "error of the training cameras' directions, in degrees", _number(0.0, 180.0)),
-    "start": Kind(
+    "poses": StressKind(
+        "input", "error of the training cameras' directions, in degrees", _number(0.0, 180.0)
+    ),
+    "start": StressKind(
         "input", "initial cloud at `random`, or with a tenth of `outliers`", _choice("random", "outliers")
     ),
-    "points": Kind("input", "number of points of the initial cloud", _number(1, whole=True)),
-    "units": Kind("input", "factor on all coordinates that the method sees", _number(1e-6, 1e6)),
-    "budget": Kind("fit", "share of the iterations, above 0 and at most 1", _number(1e-6, 1.0)),
-    "distance": Kind(
+    "points": StressKind("input", "number of points of the initial cloud", _number(1, whole=True)),
+    "units": StressKind("input", "factor on all coordinates that the method sees", _number(1e-6, 1e6)),
+    "budget": StressKind("fit", "share of the iterations, above 0 and at most 1", _number(1e-6, 1.0)),
+    "distance": StressKind(
         "test", "distance of the test cameras in units of the usual one, 0.01 to 100", _number(0.01, 100.0)
     ),
-    "zoom": Kind(
+    "zoom": StressKind(
         "test", "factor on width and height of the test views, 0.01 to 8", _number(0.01, 8.0)
     ),
-    "step": Kind(
+    "step": StressKind(
         "test",
         "degrees between test cameras, which are then neighbouring frames of a path, 0.01 to 10",
         _number(0.01, 10.0),
@@ -93,7 +95,7 @@ KINDS: dict[str, Kind] = {
 
 
 def stress_of(text: str) -> dict[str, Any]:
-    """Kind -> value, in the order of :data:`KINDS`; {} for "".
+    """StressKind -> value, in the order of :data:`KINDS`; {} for "".
 
     Raises:
         DataError: a part is not of the form kind=value, its value cannot be read, or a kind is named twice.

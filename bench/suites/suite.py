@@ -22,7 +22,7 @@ FOLDER = Path(__file__).parent
 
 Count = Annotated[int, Field(strict=True, ge=1)]
 Pixels = Annotated[int, Field(strict=True, ge=1, le=16_384)]
-Views = Annotated[int, Field(strict=True, ge=1, le=100_000)]
+ViewCount = Annotated[int, Field(strict=True, ge=1, le=100_000)]
 # NumPy takes no other seeds.
 Seed = Annotated[int, Field(strict=True, ge=0, lt=2**32)]
 _CONFIG = ConfigDict(extra="forbid", hide_input_in_errors=True)
@@ -43,8 +43,8 @@ class ViewPreset:
         budget: share of the iterations that methods take, unless they are set.
     """
 
-    train_views: Views
-    test_views: Views
+    train_views: ViewCount
+    test_views: ViewCount
     width: Pixels
     height: Pixels
     prerendered_limit: Annotated[int, Field(strict=True, ge=1)]
@@ -140,7 +140,7 @@ class Suite:
     dvr: StrictBool = False
     parsimony: StrictBool = False
     stand_ins: Mapping[str, str] = field(default_factory=dict)
-    train_views: tuple[Views, ...] = ()
+    train_views: tuple[ViewCount, ...] = ()
     edits: tuple[str, ...] = ()
     chains: tuple[str, ...] = ()
     sampled: Count = SAMPLED

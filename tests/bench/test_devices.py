@@ -7,7 +7,7 @@ import torch
 
 from econgs_bench.bench.run.display import Display
 from econgs_bench.bench.run.experiment import check_device, execute
-from econgs_bench.bench.run.request import Request
+from econgs_bench.bench.run.request import RunRequest
 from econgs_bench.datasets.errors import DataError
 
 
@@ -28,5 +28,5 @@ def test_devices_of_a_machine(monkeypatch, device, count, there):
 def test_a_run_makes_no_store_for_a_device_that_is_not_there(monkeypatch, tmp_path):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(DataError, match="--device cuda"):
-        execute(Request.of("quick", tmp_path / "store", device="cuda"), Display())
+        execute(RunRequest.of("quick", tmp_path / "store", device="cuda"), Display())
     assert not (tmp_path / "store").exists()
