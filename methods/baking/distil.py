@@ -73,7 +73,7 @@ def distilled(
         if loss.requires_grad:
             adam.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
-            adam.rates.update(
+            adam.learning_rates.update(
                 {name: rate * (1.0 - (iteration - 1) / iterations) for name, rate in first.items()}
             )
             adam.step()

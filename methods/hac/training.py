@@ -22,7 +22,7 @@ from econgs_bench.methods.interface import Checkpoint
 from econgs_bench.methods.scaffold_gs import training as scaffold_gs
 from econgs_bench.methods.scaffold_gs.schedule import Schedule
 from econgs_bench.methods.scaffold_gs.training import KEY, Prepared, color_decoders
-from econgs_bench.methods.shared.anchors import Rate, hidden_units
+from econgs_bench.methods.shared.anchors import LearningRate, hidden_units
 from econgs_bench.methods.shared.coding import coded_context
 from econgs_bench.methods.shared.training import TrainingState, to_numpy
 
@@ -30,9 +30,9 @@ LEAST_MASK = 0.01
 """An offset is there if the sigmoid of its mask exceeds this."""
 BOX_MARGIN = 0.1
 """The box of the context's positions exceeds the anchors by this share on every side (published: 1.2 x)."""
-MASK_RATE: Rate = (1e-2, 1e-4)
+MASK_RATE: LearningRate = (1e-2, 1e-4)
 """As published, times the extent."""
-CONTEXT_RATE: Rate = (5e-3, 1e-5)
+CONTEXT_RATE: LearningRate = (5e-3, 1e-5)
 
 
 class Trainer(scaffold_gs.Trainer):
@@ -55,13 +55,12 @@ class Trainer(scaffold_gs.Trainer):
         self.coding = Coding(config, self.schedule, self.generator, self.device, margin=BOX_MARGIN)
         return {**super().groups(), **self.coding.groups()}
 
-    def rates(self) -> dict[str, float]:
-        """Learning rates of this iteration."""
+    def learning_rates(self, scene: int = 0) -> dict[str, float]:
         context = self.decayed(CONTEXT_RATE)
         masks = self.options.mask_lr / MASK_RATE[0] * self.decayed((MASK_RATE[0], self.last_mask_rate))
         masks *= self.scene.extent
         own = {self.anchors.name(MASKS): masks, "grid": context, "head": context}
-        return super().rates() | own
+        return super().learning_rates(scene) | own
 
     @property
     def last_mask_rate(self) -> float:
@@ -82,7 +81,6 @@ class Trainer(scaffold_gs.Trainer):
 
     def prepare(self, values: Attributes, rows: Tensor) -> Prepared:
         """Noise or rounding, masks with straight-through gradients, and the losses of rate and masks."""
-        self.begin_coding()
         soft = self.optimiser[self.anchors.name(MASKS)].sigmoid()
         hard = (soft.detach() > LEAST_MASK).to(soft.dtype)
         masks = (hard + (soft - soft.detach())).index_select(0, rows)

@@ -15,11 +15,12 @@ from econgs_bench.methods.hac.training import LEAST_MASK
 from econgs_bench.methods.hac_plus.model import HacPlusModel
 from econgs_bench.methods.hac_plus.spec import HacPlusOptions
 from econgs_bench.methods.scaffold_gs.training import Prepared
-from econgs_bench.methods.shared.anchors import Rate
+from econgs_bench.methods.shared.anchors import LearningRate
 
-INTRA_RATE: Rate = (5e-3, 5e-4)
+INTRA_RATE: LearningRate = (5e-3, 5e-4)
 LAST_MASK_RATE, MOST_LAST_MASK_RATE = 8e-5, 1.5e-3
-"""Times the extent: at lambda 0.001, in proportion to lambda; and at most."""
+"""Last learning rate of masks, as a multiple of the scene's extent: at lambda = 0.001 (it is proportional to
+lambda), and at most."""
 
 
 class Trainer(hac.Trainer):
@@ -33,9 +34,8 @@ class Trainer(hac.Trainer):
         """Sizes of the context model."""
         return ContextConfig.of(options, options.features, hidden, options.chunk)
 
-    def rates(self) -> dict[str, float]:
-        """Learning rates of this iteration."""
-        return super().rates() | {"intra": self.decayed(INTRA_RATE)}
+    def learning_rates(self, scene: int = 0) -> dict[str, float]:
+        return super().learning_rates(scene) | {"intra": self.decayed(INTRA_RATE)}
 
     @property
     def last_mask_rate(self) -> float:
@@ -50,7 +50,6 @@ class Trainer(hac.Trainer):
         """
         if not self.schedule.coded(self.iteration):
             return super().prepare(values, rows)
-        self.begin_coding()
         total, seen = len(self.anchors), len(rows)
         masks, anchors, soft = self._masks()
         sample = draw_sample(total, self.generator, self.coding.sample).to(rows.device)

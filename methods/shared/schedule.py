@@ -61,8 +61,8 @@ class Proportional:
         """Iteration after which nothing grows."""
         return self.growth_stop
 
-    def settles_rent(self, iteration: int) -> bool:
-        """Whether primitives that add nothing go before this iteration (:mod:`.methods.shared.rent`).
+    def prunes_by_contribution(self, iteration: int) -> bool:
+        """Whether primitives that add least go before this iteration (:mod:`.methods.shared.pruning`).
 
         Once growth has ended, and half-way from there to the end.
         """

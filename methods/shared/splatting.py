@@ -63,7 +63,7 @@ class SplattingOptions:
         "weight of the mean absolute error of alpha, where training views are transparent anywhere",
         minimum=0.0,
     )
-    rent: float = option(
+    prune_loss_db: float = option(
         0.01,
         "PSNR (dB) that may go with primitives that add least to training views, twice in a fit; 0 = none go",
         minimum=0.0,
@@ -83,10 +83,10 @@ PUBLISHED: dict[str, OptionValue] = {
     "start_scale": 1.0,
     "decay": "exponential",
     "alpha_weight": 0.0,
-    "rent": 0.0,
+    "prune_loss_db": 0.0,
 }
 """Of 3DGS and what follows it."""
 QUICK: dict[str, OptionValue] = {"alpha_weight": 0.2}
 """In so short a schedule."""
-TUNABLE = ("alpha_weight", "start_spacing", "rent")
+TUNABLE = ("alpha_weight", "start_spacing", "prune_loss_db")
 """Common equipment that ``bench tune`` varies for every method that splats."""

@@ -167,7 +167,7 @@ def trained() -> tuple[ContextModel, torch.Tensor, Attributes]:
     optimiser = Adam({"grid": model.grid.table, "head": model.head}, {"grid": 5e-3, "head": 5e-3})
     for step in range(400):
         model.coder_exact = step >= 300
-        optimiser.rates = dict.fromkeys(optimiser.rates, 5e-3 * 0.01 ** (step / 400))
+        optimiser.learning_rates = dict.fromkeys(optimiser.learning_rates, 5e-3 * 0.01 ** (step / 400))
         rows = torch.randint(3000, (1000,), generator=random)
         context = model(lookup, rows, draw_sample(1000, random, 0.3))
         rate = model.rate(model.perturb(values.of(rows), context, noise), context, anchors=3000)
