@@ -50,6 +50,7 @@ class Option:
         choices: the only values allowed, if not empty.
         search: range of numbers that ``bench tune`` looks through; None: around the starting values.
         before: what fits had that are older than the option; None: its default.
+        formerly: name by which older records and command lines have the option; "" if it never had another.
     """
 
     default: OptionValue
@@ -59,6 +60,7 @@ class Option:
     choices: tuple[OptionValue, ...] = ()
     search: tuple[float, float] | None = None
     before: OptionValue | None = None
+    formerly: str = ""
 
 
 def option(
@@ -69,13 +71,14 @@ def option(
     maximum: float | None = None,
     search: tuple[float, float] | None = None,
     before: V | None = None,
+    formerly: str = "",
 ) -> V:
     """A field of a dataclass of options; the arguments are attributes of :class:`Option`.
 
     The field's annotation is the option's type: ``bool``, ``int``, ``float``, ``str``, or ``Literal[...]`` of
     the choices. Example: ``voxel: float = option(0.001, "lattice, scene units", minimum=1e-5)``
     """
-    about = Option(default, doc, minimum, maximum, search=search, before=before)
+    about = Option(default, doc, minimum, maximum, search=search, before=before, formerly=formerly)
     declared: Any = field(default=default, metadata={OPTION: about})
     return cast("V", declared)
 
