@@ -10,13 +10,13 @@ from torch import Tensor
 
 from econgs_bench.datasets.scene import RGB
 from econgs_bench.datasets.views import ViewSet
-from econgs_bench.econgs.factors.lines import Lines, dense, resampled
-from econgs_bench.econgs.factors.rays import Corner, Region, hits
 from econgs_bench.econgs.losses import RESCUE, VANISHING
 from econgs_bench.econgs.optim import Adam
 from econgs_bench.econgs.rays import PixelRays, Rays, camera_rays
 from econgs_bench.methods.ccnerf.field import BANDS, SCALE, SHIFT, Factors, trace
+from econgs_bench.methods.ccnerf.lines import Lines, dense, resampled
 from econgs_bench.methods.ccnerf.model import CpModel
+from econgs_bench.methods.ccnerf.rays import Corner, Region, hits
 from econgs_bench.methods.ccnerf.schedule import Schedule
 from econgs_bench.methods.ccnerf.spec import CpOptions
 from econgs_bench.methods.interface import Checkpoint, Refused, SceneInput

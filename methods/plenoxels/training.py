@@ -11,18 +11,11 @@ from torch import Tensor
 
 from econgs_bench.datasets.scene import RGB
 from econgs_bench.econgs.rays import PixelRays, camera_rays
-from econgs_bench.econgs.voxels import (
-    SH,
-    VoxelGrid,
-    Voxels,
-    bricks_of,
-    rms_step,
-    trace,
-    variation,
-    voxel_weights,
-)
 from econgs_bench.methods.interface import Checkpoint, Diverged, SceneInput
+from econgs_bench.methods.plenoxels.grid import SH, VoxelGrid, Voxels, bricks_of
+from econgs_bench.methods.plenoxels.march import trace, voxel_weights
 from econgs_bench.methods.plenoxels.model import VoxelModel, VoxelScene
+from econgs_bench.methods.plenoxels.optimise import rms_step, variation
 from econgs_bench.methods.plenoxels.region import Hull, first_grid
 from econgs_bench.methods.plenoxels.schedule import Schedule
 from econgs_bench.methods.plenoxels.spec import PlenoxelsOptions

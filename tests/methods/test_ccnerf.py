@@ -11,11 +11,11 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 from econgs_bench.datasets.errors import DataError
-from econgs_bench.econgs.factors.rays import Region
 from econgs_bench.econgs.rays import camera_rays
 from econgs_bench.econgs.splat.sh import spherical_harmonics
 from econgs_bench.methods.ccnerf.field import SCALE, SHIFT, Factors, trace
 from econgs_bench.methods.ccnerf.model import CpModel
+from econgs_bench.methods.ccnerf.rays import Region
 from econgs_bench.methods.ccnerf.schedule import Schedule
 from econgs_bench.methods.ccnerf.training import Trainer
 from econgs_bench.methods.contract.scene import look_at

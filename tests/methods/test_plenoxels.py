@@ -12,9 +12,9 @@ import pytest
 import torch
 
 from econgs_bench.datasets.errors import DataError
-from econgs_bench.econgs.voxels import occupied
 from econgs_bench.methods.contract.scene import tiny_scene
 from econgs_bench.methods.interface import Edit, Refused
+from econgs_bench.methods.plenoxels.grid import occupied
 from econgs_bench.methods.plenoxels.model import PER_VOXEL, VoxelModel
 from econgs_bench.methods.plenoxels.region import Hull, first_grid
 from econgs_bench.methods.plenoxels.schedule import Schedule
