@@ -123,8 +123,14 @@ class Configuration:
     iterations: Mapping[str, int] = field(default_factory=dict)
 
 
-SHARED_SOURCE = ("econgs", "methods")
-"""The ``source`` of every built-in method."""
+def built_in(*folders: str) -> tuple[str, ...]:
+    """The ``source`` of a built-in method.
+
+    Args:
+        folders: in ``methods/``: its own, and those of the methods that it builds on.
+    """
+    shared = ("econgs", "methods.interface", "methods.shared")
+    return tuple(f"econgs_bench.{one}" for one in (*shared, *(f"methods.{folder}" for folder in folders)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,7 +178,7 @@ class MethodSpec:
     needs_volume: bool = False
     volume_scenes: frozenset[Literal["transfer", "isosurfaces"]] = frozenset({"transfer", "isosurfaces"})
     point_sampled: bool = False
-    devices: tuple[str, ...] = ("cpu", "cuda")
+    devices: tuple[Literal["cpu", "cuda"], ...] = ("cpu", "cuda")
     options: type[Any] = NoOptions
     presets: Mapping[str, Mapping[str, OptionValue]] = field(default_factory=dict)
     rate_knobs: tuple[RateKnob, ...] = ()

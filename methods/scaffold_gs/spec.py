@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from econgs_bench.methods.interface import SHARED_SOURCE, Configuration, MethodSpec, OptionValue, option
+from econgs_bench.methods.interface import Configuration, MethodSpec, OptionValue, built_in, option
 from econgs_bench.methods.shared import splatting
 
 
@@ -109,7 +109,7 @@ SPEC = MethodSpec(
     ),
     version="7",
     implementation="econgs_bench.methods.scaffold_gs.method:ScaffoldGS",
-    source=SHARED_SOURCE,
+    source=built_in("scaffold_gs", "gaussian_splatting"),
     composable=True,
     edits=frozenset({"opacity"}),
     uses_alpha="views are composited on the training background; alpha is also a target of its own",
