@@ -17,7 +17,9 @@ def stub_spelling(signature: str) -> str:
         return ("" if "writable=False" in match[0] else "Out") + ARRAYS[match[1]]
 
     signature = re.sub(r"ndarray\[dtype=(\w+)[^]]*\]", array, signature)
-    return ast.unparse(ast.parse(re.sub(r"(collections\.abc|econgs\._native)\.", "", signature) + ": ..."))
+    return ast.unparse(
+        ast.parse(re.sub(r"(collections\.abc|econgs_bench\.econgs\._native)\.", "", signature) + ": ...")
+    )
 
 
 def test_stub_and_module_hold_the_same_signatures() -> None:
