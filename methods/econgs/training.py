@@ -50,21 +50,21 @@ from econgs_bench.methods.shared.training import (
     training_images,
 )
 
-DECODER_RATES: dict[str, LearningRate] = {
+DECODER_LEARNING_RATES: dict[str, LearningRate] = {
     "opacity": (2e-3, 2e-5),
     "shading": (8e-3, 5e-5),
     "normal": (8e-3, 5e-5),
     "offset": (2e-3, 2e-5),
 }
-COVARIANCE_RATE = 4e-3
+COVARIANCE_LR = 4e-3
 """Its first learning rate; the last is a share of it, the option ``last_lr_share``."""
-STATED_RATES: dict[str, LearningRate] = {"opacity": (1e-2, 1e-4), "covariance": (1e-2, 1e-4)}
+STATED_LEARNING_RATES: dict[str, LearningRate] = {"opacity": (1e-2, 1e-4), "covariance": (1e-2, 1e-4)}
 """Of the networks that decode what the paper's sentence on learning rates names."""
-SCALING_RATE: LearningRate = (1e-2, 1e-4)
-OFFSET_RATE: LearningRate = (1e-2, 1e-4)
+SCALING_LR: LearningRate = (1e-2, 1e-4)
+OFFSET_LR: LearningRate = (1e-2, 1e-4)
 """Times the extent."""
-CONTEXT_RATE: LearningRate = (5e-3, 1e-5)
-EMBEDDING_RATE: LearningRate = (2e-3, 2e-5)
+CONTEXT_LR: LearningRate = (5e-3, 1e-5)
+EMBEDDING_LR: LearningRate = (2e-3, 2e-5)
 _EMBEDDING_SPREAD = 0.01
 COLOR_SAMPLE = 256
 """Anchors whose offset colors a step regularises."""
@@ -315,19 +315,19 @@ class Trainer(AnchorTrainer):
     def learning_rates(self, scene: int = 0) -> dict[str, float]:
         drawn, first = self.scenes[scene], self.options.feature_lr
         decoders = {
-            **DECODER_RATES,
-            "covariance": (COVARIANCE_RATE, self.options.last_lr_share * COVARIANCE_RATE),
+            **DECODER_LEARNING_RATES,
+            "covariance": (COVARIANCE_LR, self.options.last_lr_share * COVARIANCE_LR),
         }
         if self.options.decoder_rates == "stated":
-            decoders |= STATED_RATES
+            decoders |= STATED_LEARNING_RATES
         rates = {name: self.decayed(decoders[name]) for name in self.decoders.names}
         rates[drawn.anchors.name("features")] = self.decayed((first, 0.01 * first))
-        rates[drawn.anchors.name("log_scalings")] = self.decayed(SCALING_RATE)
-        rates[drawn.anchors.name("offsets")] = self.decayed(OFFSET_RATE) * drawn.source.extent
-        rates[f"{drawn.key}/embedding"] = self.decayed(EMBEDDING_RATE)
+        rates[drawn.anchors.name("log_scalings")] = self.decayed(SCALING_LR)
+        rates[drawn.anchors.name("offsets")] = self.decayed(OFFSET_LR) * drawn.source.extent
+        rates[f"{drawn.key}/embedding"] = self.decayed(EMBEDDING_LR)
         rates[f"{drawn.key}/palette"] = self.options.palette_lr
         if self.coding is not None:
-            rates["grid"] = rates["head"] = self.decayed(CONTEXT_RATE)
+            rates["grid"] = rates["head"] = self.decayed(CONTEXT_LR)
         return rates
 
     @torch.no_grad()

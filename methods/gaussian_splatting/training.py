@@ -42,14 +42,14 @@ class HarmonicsTrainer(GaussianTrainer):
     Arguments: a scene, resolved options, and those of :class:`.methods.shared.training.TrainingLoop`.
 
     Attributes:
-        first_rates: learning rates of the parameters that are optimised now, as they are while growing.
+        first_learning_rates: of the parameters that are optimised now, as they are while growing.
 
     Raises:
         Refused: no views, or no initial points.
     """
 
     options: HarmonicsOptions
-    first_rates: dict[str, float]
+    first_learning_rates: dict[str, float]
 
     def __init__(
         self, scene: SceneInput, options: HarmonicsOptions, iterations: int, seed: int, device: str
@@ -60,9 +60,9 @@ class HarmonicsTrainer(GaussianTrainer):
         self.schedule = self._schedule(iterations)
         self.images = training_images(scene.train.images, device)
         self.transparent = are_transparent(self.images)
-        parameters, self.first_rates = self._start()
+        parameters, self.first_learning_rates = self._start()
         self.optimiser = Adam(
-            {name: values.to(device) for name, values in parameters.items()}, self.first_rates
+            {name: values.to(device) for name, values in parameters.items()}, self.first_learning_rates
         )
         self.densification = self._densification()
 
@@ -95,9 +95,13 @@ class HarmonicsTrainer(GaussianTrainer):
 
     def drawn(self, camera: Camera, truth: torch.Tensor, back: RGB | torch.Tensor) -> DrawnGaussians:
         """A view (H, W, 4), drawn and compared."""
-        splats, offset = self.splat(self.gaussians(self.colors(camera)), camera)
+        splats, offset = self.splat(self.in_view(camera), camera)
         losses = self.view_losses(splats.features, splats.alpha, truth, back, self.transparent)
         return DrawnGaussians(losses=losses, camera=camera, offset=offset, radii=splats.radii)
+
+    def in_view(self, camera: Camera) -> Gaussians:
+        """The Gaussians as they are now, with their colors in a view; differentiable."""
+        return self.gaussians(self.colors(camera))
 
     def gaussians(self, colors: torch.Tensor) -> Gaussians:
         """The Gaussians as they are now, with colors (N, C) of a view; differentiable."""
@@ -111,11 +115,11 @@ class HarmonicsTrainer(GaussianTrainer):
         return spherical_harmonics(degree, now["means"], position, now["sh_dc"], now["sh_rest"])
 
     def prunable(self) -> Iterable[Prunable]:
-        def in_view(camera: Camera, kept: torch.Tensor) -> tuple[Gaussians, torch.Tensor]:
+        def kept_in_view(camera: Camera, kept: torch.Tensor) -> tuple[Gaussians, torch.Tensor]:
             rows = kept.nonzero()[:, 0]
-            return self.gaussians(self.colors(camera)).of(rows), rows
+            return self.in_view(camera).of(rows), rows
 
-        views = self.pruning_views(self.scene, self.images, self.transparent, in_view)
+        views = self.pruning_views(self.scene, self.images, self.transparent, kept_in_view)
         yield Prunable(self.count, [views], self.keep)
 
     def views(self) -> list[int]:
@@ -123,7 +127,7 @@ class HarmonicsTrainer(GaussianTrainer):
 
     def learning_rates(self, scene: int = 0) -> dict[str, float]:
         factor = self.schedule.settled(self.iteration, self.options.last_lr_share)
-        rates = {name: factor * rate for name, rate in self.first_rates.items()}
+        rates = {name: factor * rate for name, rate in self.first_learning_rates.items()}
         first = self.options.position_lr * self.scene.extent
         rates["means"] = self.schedule.decayed(self.iteration, first, POSITION_DECAY * first)
         return rates

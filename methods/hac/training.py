@@ -1,4 +1,4 @@
-"""Training HAC: Scaffold-GS under quantisation noise, with offset masks and the rate in the loss."""
+"""Training HAC: Scaffold-GS under quantisation noise, with offset masks and bits in the loss."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ LEAST_MASK = 0.01
 """An offset is there if the sigmoid of its mask exceeds this."""
 BOX_MARGIN = 0.1
 """The box of the context's positions exceeds the anchors by this share on every side (published: 1.2 x)."""
-MASK_RATE: LearningRate = (1e-2, 1e-4)
+MASK_LR: LearningRate = (1e-2, 1e-4)
 """As published, times the extent."""
-CONTEXT_RATE: LearningRate = (5e-3, 1e-5)
+CONTEXT_LR: LearningRate = (5e-3, 1e-5)
 
 
 class Trainer(scaffold_gs.Trainer):
@@ -57,16 +57,16 @@ class Trainer(scaffold_gs.Trainer):
         return {**super().groups(), **self.coding.groups()}
 
     def learning_rates(self, scene: int = 0) -> dict[str, float]:
-        context = self.decayed(CONTEXT_RATE)
-        masks = self.options.mask_lr / MASK_RATE[0] * self.decayed((MASK_RATE[0], self.last_mask_rate))
+        context = self.decayed(CONTEXT_LR)
+        masks = self.options.mask_lr / MASK_LR[0] * self.decayed((MASK_LR[0], self.last_mask_lr))
         masks *= self.scene.extent
         own = {self.anchors.name(MASKS): masks, "grid": context, "head": context}
         return super().learning_rates(scene) | own
 
     @property
-    def last_mask_rate(self) -> float:
+    def last_mask_lr(self) -> float:
         """Last learning rate of masks where the first one is the published; times the extent."""
-        return MASK_RATE[1]
+        return MASK_LR[1]
 
     def visible(self, values: Attributes, camera: Camera) -> Tensor:
         """(N,) anchors that may show in a view; while growth counts visits, those without an offset too.
@@ -81,7 +81,7 @@ class Trainer(scaffold_gs.Trainer):
         return self.optimiser[self.anchors.name(MASKS)].detach().sigmoid() > LEAST_MASK
 
     def prepare(self, values: Attributes, rows: Tensor) -> Prepared:
-        """Noise or rounding, masks with straight-through gradients, and the losses of rate and masks."""
+        """Noise or rounding, masks with straight-through gradients, and the losses of bits and masks."""
         soft = self.optimiser[self.anchors.name(MASKS)].sigmoid()
         hard = (soft.detach() > LEAST_MASK).to(soft.dtype)
         masks = (hard + (soft - soft.detach())).index_select(0, rows)
@@ -92,14 +92,13 @@ class Trainer(scaffold_gs.Trainer):
             there = hard.index_select(0, rows).any(1).nonzero()[:, 0]
             chosen = draw_sample(len(there), self.generator, self.coding.sample)
             sample = there.index_select(0, chosen.to(there.device))
-        values, rate = self.coding.apply(
+        values, bits = self.coding.apply(
             self.anchors, values, rows, total, self.iteration, masks_of, sample=sample
         )
         losses: dict[str, Tensor] = {}
-        if rate is not None and total:
+        if bits is not None and total:
             valid = float(hard.any(1).float().mean())
-            bits = rate.attributes * valid + rate.grid
-            losses["rate"] = self.options.rate_weight * bits
+            losses["rate"] = self.options.rate_weight * (bits.attributes * valid + bits.grid)
             losses["masks"] = self.options.mask_weight * soft.mean()
         return Prepared(values, masks, losses)
 

@@ -37,7 +37,7 @@ from econgs_bench.methods.shared.training import SceneLabel, TrainingState
 
 GEOMETRY = ("means", "log_scales", "quats", "logits", "normals")
 SHADING = ("offset_color", "ambient", "diffuse", "specular", "shininess")
-NORMAL_RATE = 0.01
+NORMAL_LR = 0.01
 FIRST_SHININESS = 1.0
 _SSIM_SHARE = 0.2  # of the alpha mask's loss; the published one's other part has no gradient
 
@@ -75,7 +75,7 @@ class IvrTrainer(Trainer):
         parameters, rates = super()._start()
         normals = torch.randn(parameters["means"].shape, generator=self.generator)
         parameters["normals"] = torch.nn.functional.normalize(normals, dim=1)
-        return parameters, rates | {"normals": NORMAL_RATE}
+        return parameters, rates | {"normals": NORMAL_LR}
 
     def _densification(self) -> GradientGrowth:
         rules = GrowthRules.of(self.options, self.scene.extent)
@@ -102,9 +102,9 @@ class IvrTrainer(Trainer):
         """A fresh optimiser for what the second stage learns."""
         shading = first_shading(geometry["means"], self.options)
         rates = {name: LEARNING_RATES[name] for name in ("log_scales", "quats")}
-        rates |= {"means": 0.0, "logits": self.options.opacity_lr, "normals": NORMAL_RATE}
-        self.first_rates = rates | dict.fromkeys(SHADING, self.options.shading_lr)
-        self.optimiser = Adam(geometry | shading, self.first_rates)
+        rates |= {"means": 0.0, "logits": self.options.opacity_lr, "normals": NORMAL_LR}
+        self.first_learning_rates = rates | dict.fromkeys(SHADING, self.options.shading_lr)
+        self.optimiser = Adam(geometry | shading, self.first_learning_rates)
         self.densification.reset()
 
     # ------------------------------------------------------------------ losses

@@ -43,10 +43,10 @@ from econgs_bench.methods.shared.training import (
 
 _MOST_OPACITY = 1.0 - 1e-6
 """Of what is inverted: float32 has hidden Gaussians of -1, whose inverse is infinite."""
-DECODER_RATES: dict[str, LearningRate] = {"opacity": (2e-3, 2e-5), "color": (8e-3, 5e-5)}
-COVARIANCE_RATE = 4e-3
-SCALING_RATE = 7e-3
-OFFSET_RATE: LearningRate = (1e-2, 1e-4)
+DECODER_LEARNING_RATES: dict[str, LearningRate] = {"opacity": (2e-3, 2e-5), "color": (8e-3, 5e-5)}
+COVARIANCE_LR = 4e-3
+SCALING_LR = 7e-3
+OFFSET_LR: LearningRate = (1e-2, 1e-4)
 """Times the extent."""
 KEY = "scene"
 """Key of the anchors' parameters in the optimiser."""
@@ -190,12 +190,12 @@ class Trainer(AnchorTrainer):
         share = self.decayed((1.0, self.options.last_lr_share))
         anchors = {
             "features": share * self.options.feature_lr,
-            "log_scalings": share * SCALING_RATE,
-            "offsets": self.decayed(OFFSET_RATE) * self.scene.extent,
+            "log_scalings": share * SCALING_LR,
+            "offsets": self.decayed(OFFSET_LR) * self.scene.extent,
         }
         rates = {self.anchors.name(name): rate for name, rate in anchors.items()}
-        rates |= {name: self.decayed(rate) for name, rate in DECODER_RATES.items()}
-        return rates | {"covariance": share * COVARIANCE_RATE}
+        rates |= {name: self.decayed(rate) for name, rate in DECODER_LEARNING_RATES.items()}
+        return rates | {"covariance": share * COVARIANCE_LR}
 
     def visible(self, values: Attributes, camera: Camera) -> Tensor:
         """(N,) anchors that may show in a view."""

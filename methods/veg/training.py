@@ -20,7 +20,7 @@ from econgs_bench.methods.gaussian_splatting.gaussians import DrawnGaussians, Ga
 from econgs_bench.methods.gaussian_splatting.training import LEARNING_RATES, POSITION_DECAY
 from econgs_bench.methods.interface import Checkpoint, Refused, SceneInput
 from econgs_bench.methods.ivr_gs.losses import normal_loss, smoothness_loss
-from econgs_bench.methods.ivr_gs.training import NORMAL_RATE
+from econgs_bench.methods.ivr_gs.training import NORMAL_LR
 from econgs_bench.methods.shared.pruning import Prunable
 from econgs_bench.methods.shared.training import (
     TrainingState,
@@ -89,7 +89,7 @@ class VegTrainer(GaussianTrainer):
     def _optimiser(self, parameters: Mapping[str, Tensor]) -> Adam:
         options = self.options
         rates = {name: LEARNING_RATES[name] for name in ("log_scales", "quats")}
-        rates |= {"means": 0.0, "normals": NORMAL_RATE, "scalars": options.scalar_lr}
+        rates |= {"means": 0.0, "normals": NORMAL_LR, "scalars": options.scalar_lr}
         rates |= {"opacities": options.opacity_lr, **dict.fromkeys(SHADING, options.shading_lr)}
         return Adam(parameters, rates)
 

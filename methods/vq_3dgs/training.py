@@ -8,13 +8,11 @@ import torch
 from torch import Tensor
 
 from econgs_bench.datasets.camera import Camera
-from econgs_bench.datasets.scene import RGB
 from econgs_bench.econgs.anchors.gaussians import Gaussians
 from econgs_bench.econgs.codebooks import Codebook, rounded
 from econgs_bench.econgs.context.positions import PositionGrid
 from econgs_bench.econgs.optim import Adam
 from econgs_bench.econgs.splat.sh import spherical_harmonics
-from econgs_bench.methods.gaussian_splatting.gaussians import DrawnGaussians
 from econgs_bench.methods.gaussian_splatting.model import SceneGaussians
 from econgs_bench.methods.gaussian_splatting.schedule import Schedule
 from econgs_bench.methods.gaussian_splatting.training import (
@@ -64,16 +62,14 @@ class VqTrainer(Trainer):
             self._place(quantised(self._plain(), self.options, self.seed))
         super().begin_step()
 
-    def drawn(self, camera: Camera, truth: Tensor, back: RGB | Tensor) -> DrawnGaussians:
+    def in_view(self, camera: Camera) -> Gaussians:
         if self.coded is None:
-            return super().drawn(camera, truth, back)
+            return super().in_view(camera)
         position = torch.as_tensor(camera.position, dtype=torch.float32, device=self.device)
         now = gaussians(self._now(self.coded))
         scales, opacities = now.log_scales.exp(), now.logits.sigmoid()
         colors = spherical_harmonics(now.sh_degree, now.means, position, now.sh_dc, now.sh_rest)
-        splats, offset = self.splat(Gaussians(now.means, now.quats, scales, opacities, colors), camera)
-        losses = self.view_losses(splats.features, splats.alpha, truth, back, self.transparent)
-        return DrawnGaussians(losses=losses, camera=camera, offset=offset, radii=splats.radii)
+        return Gaussians(now.means, now.quats, scales, opacities, colors)
 
     def learning_rates(self, scene: int = 0) -> dict[str, float]:
         if self.coded is None:
