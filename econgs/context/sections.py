@@ -70,11 +70,11 @@ class Header(NamedTuple):
     """What the first section says of a group.
 
     Attributes:
-        grid: of the positions.
+        grid: grid of the positions.
         parts: what the stream has.
         scenes: number of scenes.
-        features: of an anchor.
-        offsets: of an anchor.
+        features: values of an anchor's feature.
+        offsets: Gaussians of an anchor.
         metadata: JSON object.
     """
 
@@ -144,7 +144,7 @@ def read_context(reader: Reader, mixtures: bool) -> CodedContext:
     """Inverse of :func:`write_context`; the hash grid is empty.
 
     Args:
-        reader: of the section.
+        reader: reader of the section.
         mixtures: whether features are mixtures.
     """
     features, offsets, hidden, volume, planes, volume_log2, planes_log2, values = reader.unpack("8H")

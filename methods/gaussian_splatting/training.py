@@ -42,7 +42,7 @@ class HarmonicsTrainer(GaussianTrainer):
     Arguments: a scene, resolved options, and those of :class:`.methods.shared.training.TrainingLoop`.
 
     Attributes:
-        first_learning_rates: of the parameters that are optimised now, as they are while growing.
+        first_learning_rates: parameter that is optimised now → learning rate while growing.
 
     Raises:
         Refused: no views, or no initial points.

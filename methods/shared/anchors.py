@@ -50,8 +50,8 @@ class DrawnAnchors(DrawnView):
     """A view of anchors.
 
     Attributes:
-        anchors: of the drawn scene.
-        rows: (V,) which of them are visible.
+        anchors: anchors of the drawn scene.
+        rows: (V,) numbers of the visible anchors.
         decoded: their Gaussians.
         empty: the view shows none of them, though something is to be seen.
     """

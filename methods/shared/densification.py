@@ -31,7 +31,7 @@ class DrawnView(Drawn):
     """A splatted view.
 
     Attributes:
-        camera: of the view.
+        camera: camera of the view.
         offset: (M, 2) offsets of the Gaussians on the screen, whose gradients growth reads, if it does.
         radii: (M,) pixels, 0 where a Gaussian has none.
     """

@@ -39,7 +39,7 @@ class PruningViews:
     Attributes:
         views: cameras and background.
         images: (views, H, W, 4) of them, premultiplied.
-        gaussians: of the scene in a view.
+        gaussians: decodes the scene in a view.
         asks_alpha: whether the error of alpha counts too.
     """
 
@@ -95,7 +95,7 @@ class Prunable:
         Args:
             loss_db: PSNR that may be lost with them [dB].
             low_pass: filter of the projected Gaussians.
-            device: of the primitives.
+            device: device of the primitives.
         """
         every = torch.ones(self.count, dtype=torch.bool, device=device)
         if self.count == 0:
@@ -124,8 +124,8 @@ def contributions(
 
     Args:
         drawn: M Gaussians of each view, and (M,) the number of the primitive of each.
-        dtype: of the sums.
-        device: of the sums.
+        dtype: type of the sums.
+        device: device of the sums.
         count: number of primitives, if it is known; else the highest number counts.
 
     Returns:
@@ -150,7 +150,7 @@ def survivors(sums: Tensor, loss_db: float, errors: Errors) -> Tensor:
     Args:
         sums: (N,) contributions; N at least 1.
         loss_db: PSNR that may be lost, by each error alike [dB].
-        errors: of the views that are compared.
+        errors: errors of the compared views.
     """
     order = sums.argsort()
 
