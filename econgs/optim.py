@@ -20,23 +20,24 @@ class Adam:
 
     Args:
         groups: name → tensor or tensors.
-        rates: name → learning rate; a schedule changes the entries of :attr:`rates`.
+        learning_rates: name → learning rate; a schedule changes the entries of :attr:`learning_rates`.
         betas, eps: decay of both moments and guard of the division (3DGS uses 1e-15).
     """
 
     def __init__(
         self,
         groups: Mapping[str, Tensor | Sequence[Tensor]],
-        rates: Mapping[str, float],
+        learning_rates: Mapping[str, float],
         *,
         betas: tuple[float, float] = (0.9, 0.999),
         eps: float = 1e-15,
     ) -> None:
-        if set(groups) != set(rates):
-            raise ValueError(f"groups {sorted(groups)} and rates {sorted(rates)} name different things")
+        if set(groups) != set(learning_rates):
+            named = f"groups {sorted(groups)} and learning rates {sorted(learning_rates)}"
+            raise ValueError(f"{named} name different things")
         self.betas = betas
         self.eps = eps
-        self.rates = dict(rates)
+        self.learning_rates = dict(learning_rates)
         self.parameters: dict[str, list[Tensor]] = {}
         self.first: dict[str, list[Tensor]] = {}
         self.second: dict[str, list[Tensor]] = {}
@@ -72,7 +73,7 @@ class Adam:
                 self.steps[name][place] += 1
                 key = self.steps[name][place], choose_backend(tensor)
                 state = self.first[name][place], self.second[name][place]
-                together.setdefault(key, []).append((tensor, tensor.grad, *state, self.rates[name]))
+                together.setdefault(key, []).append((tensor, tensor.grad, *state, self.learning_rates[name]))
         for (step, backend), entries in together.items():
             if backend == "native":
                 _native_step(entries, step, self.betas, self.eps)

@@ -50,6 +50,7 @@ class Option:
         choices: the only values allowed, if not empty.
         search: range of numbers that ``bench tune`` looks through; None: around the starting values.
         before: what fits had that are older than the option; None: its default.
+        formerly: name by which older records and command lines have the option; "" if it never had another.
     """
 
     default: OptionValue
@@ -59,6 +60,7 @@ class Option:
     choices: tuple[OptionValue, ...] = ()
     search: tuple[float, float] | None = None
     before: OptionValue | None = None
+    formerly: str = ""
 
 
 def option(
@@ -69,13 +71,14 @@ def option(
     maximum: float | None = None,
     search: tuple[float, float] | None = None,
     before: V | None = None,
+    formerly: str = "",
 ) -> V:
     """A field of a dataclass of options; the arguments are attributes of :class:`Option`.
 
     The field's annotation is the option's type: ``bool``, ``int``, ``float``, ``str``, or ``Literal[...]`` of
     the choices. Example: ``voxel: float = option(0.001, "lattice, scene units", minimum=1e-5)``
     """
-    about = Option(default, doc, minimum, maximum, search=search, before=before)
+    about = Option(default, doc, minimum, maximum, search=search, before=before, formerly=formerly)
     declared: Any = field(default=default, metadata={OPTION: about})
     return cast("V", declared)
 
@@ -120,8 +123,14 @@ class Configuration:
     iterations: Mapping[str, int] = field(default_factory=dict)
 
 
-SHARED_SOURCE = ("econgs", "methods")
-"""The ``source`` of every built-in method."""
+def built_in(*folders: str) -> tuple[str, ...]:
+    """The ``source`` of a built-in method.
+
+    Args:
+        folders: in ``methods/``: its own, and those of the methods that it builds on.
+    """
+    shared = ("econgs", "methods.interface", "methods.shared")
+    return tuple(f"econgs_bench.{one}" for one in (*shared, *(f"methods.{folder}" for folder in folders)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,7 +178,7 @@ class MethodSpec:
     needs_volume: bool = False
     volume_scenes: frozenset[Literal["transfer", "isosurfaces"]] = frozenset({"transfer", "isosurfaces"})
     point_sampled: bool = False
-    devices: tuple[str, ...] = ("cpu", "cuda")
+    devices: tuple[Literal["cpu", "cuda"], ...] = ("cpu", "cuda")
     options: type[Any] = NoOptions
     presets: Mapping[str, Mapping[str, OptionValue]] = field(default_factory=dict)
     rate_knobs: tuple[RateKnob, ...] = ()

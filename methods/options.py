@@ -10,7 +10,7 @@ from typing import Any, Literal, cast, get_args, get_origin, get_type_hints
 
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.names import unknown
-from econgs_bench.methods.interface import OPTION, MethodSpec, Option, OptionValue
+from econgs_bench.methods.interface import OPTION, MethodSpec, Option, OptionValue, V
 
 ITERATIONS = "iterations"
 """Settable for every method like an option: the budget, which a preset otherwise gives."""
@@ -107,6 +107,12 @@ def _declared(options: Any) -> dict[str, Option]:
     return result
 
 
+def current(options: type[Any], values: Mapping[str, V]) -> dict[str, V]:
+    """Values under today's names of their options (:attr:`.methods.interface.Option.formerly`)."""
+    names = {one.formerly: name for name, one in declared(options).items() if one.formerly}
+    return {names.get(name, name): value for name, value in values.items()}
+
+
 def resolve(spec: MethodSpec, preset: str, overrides: Mapping[str, OptionValue] | None = None) -> Settings:
     """Defaults, overlaid by the preset, by the configuration, and by what the user set.
 
@@ -114,7 +120,7 @@ def resolve(spec: MethodSpec, preset: str, overrides: Mapping[str, OptionValue] 
         spec: the method.
         preset: one of the spec's presets.
         overrides: option (or "iterations", "configuration") -> value; strings are parsed by the option's
-            type.
+            type. Former names of options do as well.
 
     Raises:
         UnknownName: no such preset, configuration or option; near matches are listed.
@@ -127,7 +133,7 @@ def resolve(spec: MethodSpec, preset: str, overrides: Mapping[str, OptionValue] 
     options.update(spec.presets.get(preset, {}))
     iterations = spec.iterations[preset]
     changed: dict[str, OptionValue] = {}
-    settings = dict(overrides or {})
+    settings = current(spec.options, overrides or {})
     if spec.configurations and CONFIGURATION in settings:
         label = str(settings.pop(CONFIGURATION))
         if label not in spec.configurations:

@@ -15,12 +15,13 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from types import UnionType
+from typing import TYPE_CHECKING, Any, Literal, cast, get_args, get_origin, get_type_hints
 
 from econgs_bench import methods
 from econgs_bench.datasets.errors import DataError, printable, text_of
 from econgs_bench.datasets.names import unknown
-from econgs_bench.methods.interface import PRESETS, Configuration, MethodSpec, RateKnob
+from econgs_bench.methods.interface import PRESETS, MethodSpec
 from econgs_bench.methods.options import CONFIGURATION, ITERATIONS, SAMPLES, check, declared
 
 if TYPE_CHECKING:
@@ -87,7 +88,7 @@ class Registry:
             raise
         except (Exception, SystemExit) as error:
             reason = f"its spec cannot be imported ({type(error).__name__}: {text_of(error)})"
-            raise DataError(candidate.origin, reason, "Repair the plugin") from error
+            raise DataError(candidate.origin, reason, _remedy(error, "Repair the plugin")) from error
         check_spec(spec, candidate.origin)
         if candidate.name is not None and candidate.name != spec.name:
             raise DataError(
@@ -152,9 +153,16 @@ def load_method(spec: MethodSpec) -> Method:
         raise DataError(
             f"method {spec.name!r}",
             f"its implementation {spec.implementation!r} cannot be imported ({text_of(error)})",
-            "Install what it needs, or correct the spec",
+            _remedy(error, "Install what it needs, or correct the spec"),
         ) from error
     return cast("Method", implementation() if isinstance(implementation, type) else implementation)
+
+
+def _remedy(error: BaseException, otherwise: str) -> str:
+    """What mends a failed import: plugins of before import the harness's packages by their bare names."""
+    name = (error.name if isinstance(error, ImportError) else None) or ""
+    ours = name.partition(".")[0] in ("bench", "methods", "econgs", "datasets", "reports")
+    return f"Import econgs_bench.{name} instead of {name}" if ours else otherwise
 
 
 def check_name(name: str, origin: str) -> None:
@@ -167,49 +175,22 @@ def check_name(name: str, origin: str) -> None:
         raise DataError(origin, f"method name {name!r}", "Use lower-case letters, digits, - and _")
 
 
-def _all(kind: type) -> Callable[[Any], bool]:
-    """Whether a value is a tuple of instances of a type."""
-    return lambda value: isinstance(value, tuple) and all(isinstance(one, kind) for one in value)
-
-
-def _named(kind: type) -> Callable[[Any], bool]:
-    """Whether a value maps names to instances of a type, none of them a truth value."""
-
-    def fits(value: Any) -> bool:
+def _fits(value: Any, kind: Any) -> bool:
+    """Whether a value is of a type: a class, a choice of literals, or a container of such."""
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin is Literal:
+        return value in inner
+    if origin is UnionType:
+        return any(_fits(value, one) for one in inner)
+    if origin is Mapping:
         return isinstance(value, Mapping) and all(
-            isinstance(name, str) and isinstance(one, kind) and not isinstance(one, bool)
-            for name, one in value.items()
+            _fits(name, inner[0]) and _fits(one, inner[1]) for name, one in value.items()
         )
-
-    return fits
-
-
-def _some_of(*names: str) -> Callable[[Any], bool]:
-    return lambda value: isinstance(value, frozenset | set) and value <= {*names}
-
-
-_TEXT = ("a text", lambda value: isinstance(value, str))
-_TRUTH = ("True or False", lambda value: isinstance(value, bool))
-_FIELDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
-    **dict.fromkeys(("name", "title", "reference", "version", "implementation", "uses_alpha"), _TEXT),
-    **dict.fromkeys(("joint", "composable", "needs_volume", "point_sampled"), _TRUTH),
-    "source": ("a tuple of names of modules", _all(str)),
-    "tunable": ("a tuple of names of options", _all(str)),
-    "devices": (
-        "a tuple of cpu and cuda, or one of them",
-        lambda value: isinstance(value, tuple) and value != () and {*value} <= {"cpu", "cuda"},
-    ),
-    "edits": (
-        "a frozenset of palette, opacity, light, shading and transfer",
-        _some_of("palette", "opacity", "light", "shading", "transfer"),
-    ),
-    "volume_scenes": ("a frozenset of transfer and isosurfaces", _some_of("transfer", "isosurfaces")),
-    "iterations": ("a dictionary of whole numbers", _named(int)),
-    "presets": ("a dictionary of dictionaries", _named(Mapping)),
-    "rate_knobs": ("a tuple of RateKnob", _all(RateKnob)),
-    "configurations": ("a dictionary of Configuration", _named(Configuration)),
-}
-"""Field of a spec -> what it must be, in words and as a test."""
+    if origin in (tuple, frozenset):
+        like = tuple if origin is tuple else (frozenset, set)
+        return isinstance(value, like) and all(_fits(one, inner[0]) for one in value)
+    kind = origin or kind
+    return isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
 
 
 def check_spec(spec: Any, origin: str) -> None:
@@ -223,9 +204,11 @@ def check_spec(spec: Any, origin: str) -> None:
         raise wrong(
             f"SPEC is a {type(spec).__name__}", "Make it an econgs_bench.methods.interface.MethodSpec"
         )
-    for field, (what, fits) in _FIELDS.items():
-        if not fits(value := getattr(spec, field)):
-            raise wrong(f"{field} is {printable(repr(value))}", f"Make it {what}")
+    for field, kind in get_type_hints(MethodSpec).items():
+        value = getattr(spec, field)
+        if not _fits(value, kind) or (field == "devices" and not value):
+            words = kind.__name__ if isinstance(kind, type) else re.sub(r"[\w.]+\.", "", str(kind))
+            raise wrong(f"{field} is {printable(repr(value))}", f"Make it {words}")
     check_name(spec.name, origin)
     if not re.fullmatch(r"[\w.]+:\w+", spec.implementation):
         raise wrong(f"implementation {spec.implementation!r}", "Write it as module:attribute")

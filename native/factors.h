@@ -1,5 +1,5 @@
 // Rays through a box of factors: samples in occupied cells, weights along rays, products of lines
-// (econgs/factors documents what they mean).
+// (methods/ccnerf documents what they mean).
 #pragma once
 
 #include <cstdint>

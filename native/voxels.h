@@ -1,4 +1,4 @@
-// Batches of rays through sparse voxel grids (econgs/voxels), forward and backward.
+// Batches of rays through sparse voxel grids (methods/plenoxels), forward and backward.
 #pragma once
 
 #include <cstdint>

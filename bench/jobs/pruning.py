@@ -13,8 +13,8 @@ from econgs_bench.bench.metrics import evaluate
 from econgs_bench.bench.store.records import PruningResult
 from econgs_bench.econgs.splat import rasterise
 from econgs_bench.econgs.splat.composite import over
-from econgs_bench.econgs.splat.weights import blending_weights
 from econgs_bench.methods.interface import HasGaussians
+from econgs_bench.methods.shared.pruning import contributions, greatest
 from econgs_bench.reports.schema import PRUNED
 
 if TYPE_CHECKING:
@@ -54,17 +54,9 @@ def pruning(
 
 def by_weight(model: HasGaussians, scene: str, cameras: Iterable[Camera]) -> Tensor:
     """(N,) numbers of the Gaussians that any view splats; those of the least blending weights come first."""
-    sums, seen = torch.zeros(0, dtype=torch.float64), torch.zeros(0, dtype=torch.bool)
-    for camera in cameras:
-        with torch.no_grad():
-            splats, slots = model.splats(scene, camera)
-        if not len(slots):
-            continue
-        slots, weights = slots.cpu(), blending_weights(splats).double().cpu()
-        more = max(0, int(slots.max()) + 1 - len(sums))
-        sums, seen = (torch.nn.functional.pad(one, (0, more)) for one in (sums, seen))
-        sums.index_add_(0, slots, weights)
-        seen[slots] = True
+    with torch.no_grad():
+        drawn = (model.splats(scene, camera) for camera in cameras)
+        sums, seen = contributions(drawn, torch.float64, "cpu")
     numbers = seen.nonzero()[:, 0]
     return numbers[sums[numbers].argsort(stable=True)]
 
@@ -80,14 +72,12 @@ def removable(count: int, quality: Callable[[int], float], drops: Iterable[float
     whole, fewest, found = quality(0), 0, []
     step = max(1, count // _STEPS)
     for drop in drops:
-        low, high = fewest, count + step  # one that is too many, so that all may go
-        while high - low > step:
-            middle = (low + high) // 2
-            if whole - quality(min(middle, count)) <= drop:
-                low = middle
-            else:
-                high = middle
-        fewest = min(low, count)
+
+        def allowed(gone: int, drop: float = drop) -> bool:
+            return whole - quality(min(gone, count)) <= drop
+
+        # One that is too many, so that all may go.
+        fewest = min(greatest(fewest, count + step, allowed, step=step), count)
         found.append(fewest)
     return found
 

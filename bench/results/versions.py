@@ -18,7 +18,7 @@ from econgs_bench.bench.store.lineage import Lineage
 from econgs_bench.bench.store.records import Job, Record
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.methods.interface import MethodSpec
-from econgs_bench.methods.options import ITERATIONS, declared, resolve, written
+from econgs_bench.methods.options import ITERATIONS, current, declared, resolve, written
 
 
 def changes(fits: Iterable[Record], methods: Mapping[str, MethodSpec]) -> str:
@@ -48,7 +48,7 @@ def _changes(job: TrainingJob, spec: MethodSpec) -> list[str]:
     except DataError:
         return ["options that are refused today"]
     before = {name: one.before for name, one in declared(spec.options).items() if one.before is not None}
-    then, today = asdict(spec.options()) | before | job.options, settings.values
+    then, today = asdict(spec.options()) | before | current(spec.options, job.options), settings.values
     if job.iterations is not None and not job.stress:
         then[ITERATIONS] = job.iterations
         today[ITERATIONS] = settings.budget(len(job.scenes))

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from econgs_bench.econgs.anchors.growing import AnchorRules, AnchorStatistics, grow, lattice_anchors, prunable
 from econgs_bench.econgs.anchors.scalings import Activation, activated, logarithms, of_logarithms
+from econgs_bench.econgs.context.symbols import SCALINGS
 from econgs_bench.econgs.optim import Adam
 from econgs_bench.econgs.points import neighbour_distances
 
@@ -57,7 +58,7 @@ class AnchorSet:
         self.activation = activation
         self.offsets = offsets
         positions = lattice_anchors(points, voxel)
-        log_scalings = neighbour_distances(positions, fallback).log()[:, None].repeat(1, 6)
+        log_scalings = neighbour_distances(positions, fallback).log()[:, None].repeat(1, SCALINGS)
         log_scalings[:, 3:] += math.log(scale)
         count = len(positions)
         self.positions = positions.to(device)

@@ -1,4 +1,4 @@
-"""Quantisation in a fit: noise, the context model and the rate in the loss (HAC)."""
+"""Quantisation in a fit: noise, the context model and bits in the loss (HAC)."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from econgs_bench.econgs.context.model import (
     Context,
     ContextConfig,
     ContextModel,
+    MeanBits,
     Noise,
     Noisy,
-    Rate,
     draw_sample,
 )
 from econgs_bench.econgs.context.positions import PositionGrid
@@ -31,7 +31,7 @@ class Phases(Protocol):
         """Whether attributes carry quantisation noise."""
 
     def coded(self, iteration: int) -> bool:
-        """Whether steps and probabilities come from the context model, and the rate counts."""
+        """Whether steps and probabilities come from the context model, and bits count."""
 
     def exact(self, iteration: int) -> bool:
         """Whether attributes are rounded as in the coder."""
@@ -115,8 +115,8 @@ class Coding:
         *,
         sample: Tensor | None = None,
         weights: Callable[[Tensor], Tensor] | None = None,
-    ) -> tuple[Attributes, Rate | None]:
-        """Attributes for the decoders in training, and the rate in the phases with one.
+    ) -> tuple[Attributes, MeanBits | None]:
+        """Attributes for the decoders in training, and their bits in the phases that count them.
 
         Args:
             anchors: anchors of the scene.
@@ -145,7 +145,7 @@ class Coding:
         if weights is not None:
             each = weights(context.sample)[:, None]
             share = each.expand(-1, self.model.config.total) if share is None else share * each
-        return _sizes(noisy.values), self.model.rate(noisy, context, anchors=total, share=share)
+        return _sizes(noisy.values), self.model.mean_bits(noisy, context, anchors=total, share=share)
 
     def _plain(self, count: int) -> Context:
         """Context of the base steps, without a sample."""

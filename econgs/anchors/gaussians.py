@@ -34,6 +34,11 @@ class Gaussians:
     colors: Tensor
     slots: Tensor | None = None
 
+    def of(self, rows: Tensor) -> Gaussians:
+        """Some of them, by their indices."""
+        fields = (self.means, self.quats, self.scales, self.opacities, self.colors)
+        return Gaussians(*(values.index_select(0, rows) for values in fields))
+
     @property
     def numbers(self) -> Tensor:
         """(M,) int64, the number of each in its scene, the same in every view."""

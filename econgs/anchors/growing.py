@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from econgs_bench.econgs.context.symbols import SCALINGS
 from econgs_bench.econgs.splat.rasterise import choose_backend
 
 LEVELS = 3
@@ -198,13 +199,13 @@ def grow(
             strongest_rows = strongest.topk(int(room)).indices.sort().values
             new, best = new[strongest_rows], best[strongest_rows]
         room -= len(new)
-        added.append((new, log_scalings.new_full((len(new), 6), math.log(cell)), best))
+        added.append((new, log_scalings.new_full((len(new), SCALINGS), math.log(cell)), best))
         lattice = torch.cat([lattice, new])
     statistics.gradients[judged] = 0.0
     statistics.draws[judged] = 0.0
     if not added:
         none = anchors.new_zeros((0, 3))
-        return GrownAnchors(none, log_scalings.new_zeros((0, 6)), features[:0], limited)
+        return GrownAnchors(none, log_scalings.new_zeros((0, SCALINGS)), features[:0], limited)
     places, scalings, best = (torch.cat(column) for column in zip(*added, strict=True))
     return GrownAnchors(places, scalings, best, limited)
 

@@ -142,7 +142,7 @@ class ContextConfig:
 
 @dataclass(frozen=True)
 class Context:
-    """The context of M anchors, with a sample of S for the rate.
+    """The context of M anchors, with a sample of S whose bits count.
 
     Attributes:
         steps: (M, 4) step q of each attribute group.
@@ -168,8 +168,8 @@ class Noisy:
 
 
 @dataclass(frozen=True)
-class Rate:
-    """Estimated rate, in bits per attribute element.
+class MeanBits:
+    """Estimated bits per attribute element.
 
     Attributes:
         attributes: mean over a sample of anchors; scalar with gradient.
@@ -389,7 +389,7 @@ class _AddNoise(torch.autograd.Function):
 
 
 def draw_sample(count: int, generator: torch.Generator, share: float = 0.05) -> Tensor:
-    """Random sample (with replacement) of ``count`` visible anchors for the rate, at least 16.
+    """Random sample (with replacement) of ``count`` visible anchors whose bits count, at least 16.
 
     A share of 1 takes each of them once.
     """
@@ -484,7 +484,7 @@ class ContextModel(nn.Module):
         Args:
             lookup: lookup of the scene's anchors.
             rows: (M,) int64 indices; default: all.
-            sample: (S,) sample of the rows for the rate (:func:`draw_sample`); default: none.
+            sample: (S,) sample of the rows whose bits count (:func:`draw_sample`); default: none.
         """
         sample = torch.empty(0, dtype=torch.int64) if sample is None else sample
         sample = sample.to(self.device)
@@ -535,7 +535,7 @@ class ContextModel(nn.Module):
         """Attributes rounded to multiples of the steps.
 
         Gradients pass straight through to the values, and reach the steps as in :meth:`perturb`, with the
-        rounding error in place of noise: without them only the rate would act on steps, and they would grow
+        rounding error in place of noise: without them only the bits would act on steps, and they would grow
         endlessly.
         """
 
@@ -575,8 +575,10 @@ class ContextModel(nn.Module):
         bits = mixture_bits(features, normals, torch.sigmoid(mixing - logits), step)
         return torch.cat([bits, others], 1)
 
-    def rate(self, noisy: Noisy, context: Context, *, anchors: int, share: Tensor | None = None) -> Rate:
-        """The rate terms of the loss, from the sampled anchors.
+    def mean_bits(
+        self, noisy: Noisy, context: Context, *, anchors: int, share: Tensor | None = None
+    ) -> MeanBits:
+        """Bits in the loss, from the sampled anchors.
 
         The paper's loss is L_rec + λ_e (L_entropy + L_hash) / (N d_A): add λ_e · (attributes + grid).
 
@@ -588,13 +590,13 @@ class ContextModel(nn.Module):
         """
         grid = context.grid_bits / float(max(anchors, 1) * self.config.total)
         if len(context.sample) == 0:
-            return Rate(grid.new_zeros(()), grid, grid.new_zeros(4))
+            return MeanBits(grid.new_zeros(()), grid, grid.new_zeros(4))
         bits = self.bits(noisy.sample, context.sample_hidden, context.sample_steps)
         if share is not None:
             bits = bits * share
         per_element = bits.detach().mean(0)
         groups = torch.stack([one.mean() for one in per_element.split(self.config.widths)])
-        return Rate(bits.mean(), grid, groups)
+        return MeanBits(bits.mean(), grid, groups)
 
     @torch.no_grad()
     def rounded(self, values: Attributes, lookup: Lookup) -> tuple[Attributes, Tensor]:

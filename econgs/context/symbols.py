@@ -18,11 +18,14 @@ from econgs_bench.econgs.context.integer import Coding, IntegerIntra, MixedCodin
 from econgs_bench.econgs.context.mixture import Mixture, first_weight, read_mixture, write_mixture
 
 Present = NDArray[np.bool_]
+SCALINGS = 6
+"""Scalings of an anchor: three of its offsets, three of its Gaussians' scales."""
 
 
 def columns_of(width: int, many: int) -> list[slice]:
     """Columns of features, scalings and offsets among the D elements."""
-    return [slice(0, width), slice(width, width + 6), slice(width + 6, width + 6 + 3 * many)]
+    end = width + SCALINGS
+    return [slice(0, width), slice(width, end), slice(end, end + 3 * many)]
 
 
 def present_of(masks: Present | None) -> list[Present | None]:

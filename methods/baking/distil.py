@@ -18,9 +18,9 @@ from econgs_bench.methods.gaussian_splatting.model import SceneGaussians
 from econgs_bench.methods.interface import Model
 
 ITERATIONS = 1_000
-RATES = {"log_scales": 5e-3, "quats": 1e-3, "logits": 2e-2, "sh_dc": 2.5e-3, "sh_rest": 1e-3}
+LEARNING_RATES = {"log_scales": 5e-3, "quats": 1e-3, "logits": 2e-2, "sh_dc": 2.5e-3, "sh_rest": 1e-3}
 """First learning rates; all fall to nothing in a line."""
-MEANS_RATE = 2e-5
+MEANS_LR = 2e-5
 """That of places, times the greatest distance of a camera from their middle."""
 ALPHA_WEIGHT = 0.2
 
@@ -47,7 +47,7 @@ def distilled(
     """
     centres = np.stack([camera.position for camera in cameras])
     extent = float(np.linalg.norm(centres - centres.mean(0), axis=1).max()) or 1.0
-    first = {**RATES, "means": MEANS_RATE * extent}
+    first = {**LEARNING_RATES, "means": MEANS_LR * extent}
     adam = Adam({name: getattr(scene, name).clone() for name in SHAPES}, first)
     generator = torch.Generator().manual_seed(seed)
     pictures: dict[int, torch.Tensor] = {}
@@ -73,7 +73,7 @@ def distilled(
         if loss.requires_grad:
             adam.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
-            adam.rates.update(
+            adam.learning_rates.update(
                 {name: rate * (1.0 - (iteration - 1) / iterations) for name, rate in first.items()}
             )
             adam.step()

@@ -12,10 +12,10 @@ from torch import Tensor
 from torch.nn import functional
 
 from econgs_bench.datasets.scene import RGB
-from econgs_bench.econgs.factors.lines import Lines, line_products
-from econgs_bench.econgs.factors.rays import Region, Samples, march, ray_sums, ray_weights
 from econgs_bench.econgs.rays import Rays
 from econgs_bench.econgs.splat.sh import harmonics
+from econgs_bench.methods.ccnerf.lines import Lines, line_products
+from econgs_bench.methods.ccnerf.rays import Region, Samples, march, ray_sums, ray_weights
 
 DEGREE = 3
 BANDS = (DEGREE + 1) ** 2

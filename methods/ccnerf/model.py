@@ -15,10 +15,10 @@ from torch import Tensor
 
 from econgs_bench.datasets.camera import Camera
 from econgs_bench.datasets.errors import DataError
-from econgs_bench.econgs.factors.lines import Lines
-from econgs_bench.econgs.factors.rays import Region
 from econgs_bench.econgs.rays import camera_rays
 from econgs_bench.methods.ccnerf.field import BANDS, Factors, drawn
+from econgs_bench.methods.ccnerf.lines import Lines
+from econgs_bench.methods.ccnerf.rays import Region
 from econgs_bench.methods.interface import Refused
 from econgs_bench.methods.shared.edits import triple
 from econgs_bench.methods.shared.fields import FieldModel

@@ -48,7 +48,7 @@ class Schedule:
         done = sum(iteration >= self._scaled(one) for one in GROWTH) / len(GROWTH)
         return round(math.exp((1.0 - done) * math.log(self.first_side) + done * math.log(self.side)))
 
-    def rate(self, iteration: int) -> float:
+    def learning_rate_share(self, iteration: int) -> float:
         """Learning rates of an iteration, as a share of the first ones."""
         starts = [0, *(self._scaled(one) for one in GROWTH)]
         last = max(one for one in starts if one < iteration)

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 from econgs_bench.methods.interface import (
-    SHARED_SOURCE,
     Configuration,
     MethodSpec,
     OptionValue,
     RateKnob,
+    built_in,
     option,
 )
 
@@ -81,7 +81,7 @@ SPEC = MethodSpec(
     ),
     version="1",
     implementation="econgs_bench.methods.ccnerf.method:CcNerf",
-    source=SHARED_SOURCE,
+    source=built_in("ccnerf"),
     composable=True,
     point_sampled=True,
     edits=frozenset({"opacity"}),

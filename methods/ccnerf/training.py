@@ -10,17 +10,23 @@ from torch import Tensor
 
 from econgs_bench.datasets.scene import RGB
 from econgs_bench.datasets.views import ViewSet
-from econgs_bench.econgs.factors.lines import Lines, dense, resampled
-from econgs_bench.econgs.factors.rays import Corner, Region, hits
 from econgs_bench.econgs.losses import RESCUE, VANISHING
 from econgs_bench.econgs.optim import Adam
 from econgs_bench.econgs.rays import PixelRays, Rays, camera_rays
 from econgs_bench.methods.ccnerf.field import BANDS, SCALE, SHIFT, Factors, trace
+from econgs_bench.methods.ccnerf.lines import Lines, dense, resampled
 from econgs_bench.methods.ccnerf.model import CpModel
+from econgs_bench.methods.ccnerf.rays import Corner, Region, hits
 from econgs_bench.methods.ccnerf.schedule import Schedule
 from econgs_bench.methods.ccnerf.spec import CpOptions
 from econgs_bench.methods.interface import Checkpoint, Refused, SceneInput
-from econgs_bench.methods.shared.training import CHECK_EVERY, TrainingLoop, TrainingState, are_transparent
+from econgs_bench.methods.shared.densification import Drawn
+from econgs_bench.methods.shared.training import (
+    TrainingLoop,
+    TrainingState,
+    are_transparent,
+    chosen_background,
+)
 
 MARGIN = 0.15
 """Room around the initial cloud, as a share of its longest side."""
@@ -32,8 +38,8 @@ MOST_PROLONGED = 4096
 """Rows of a line at most, in a flat box."""
 
 
-class Trainer(TrainingLoop):
-    """State of a fit: factors, optimiser, box with occupied cells, random state.
+class Trainer(TrainingLoop[Drawn]):
+    """A fit of the factors of one scene.
 
     Arguments: a scene, resolved options, and those of :class:`.methods.shared.training.TrainingLoop`.
 
@@ -53,9 +59,9 @@ class Trainer(TrainingLoop):
     def __init__(
         self, scene: SceneInput, options: CpOptions, iterations: int, seed: int, device: str
     ) -> None:
-        super().__init__([scene], iterations, seed, device)
-        self.scene, self.options = scene, options
-        self.background = self.chosen_background(scene)
+        super().__init__([scene], options, iterations, seed, device)
+        self.scene = scene
+        self.background = chosen_background(options.background, scene)
         self.schedule = Schedule(
             iterations,
             options.first_side,
@@ -109,24 +115,19 @@ class Trainer(TrainingLoop):
             self.options,
         )  # fmt: skip
 
-    def step(self) -> dict[str, float]:
-        self.iteration += 1
-        back = torch.as_tensor(self.background_color(), dtype=torch.float32, device=self.device)
-        losses = self._losses(back)
-        report = self.report(losses)
-        loss = sum(losses.values(), torch.zeros((), device=self.device))
-        if loss.requires_grad:
-            self.optimiser.zero_grad()
-            loss.backward()
-            share = self.schedule.rate(self.iteration)
-            for name in self.optimiser.rates:
-                first = self.options.harmonics_lr if name == "harmonics" else self.options.factor_lr
-                self.optimiser.rates[name] = share * first
-            self.optimiser.step()
+    def draw(self) -> Drawn:
+        back = torch.as_tensor(self.color_of(self.background), dtype=torch.float32, device=self.device)
+        return Drawn(losses=self._losses(back))
+
+    def learning_rates(self, scene: int = 0) -> dict[str, float]:
+        share, options = self.schedule.learning_rate_share(self.iteration), self.options
+        first = dict.fromkeys(self.optimiser.parameters, options.factor_lr)
+        first["harmonics"] = options.harmonics_lr
+        return {name: share * rate for name, rate in first.items()}
+
+    def descend(self, drawn: Drawn, loss: Tensor) -> None:
+        super().descend(drawn, loss)
         self._change()
-        if self.iteration % CHECK_EVERY == 0:
-            self.check_finite()
-        return report
 
     def _losses(self, back: Tensor) -> dict[str, Tensor]:
         """Parts of the loss of a batch of random rays."""

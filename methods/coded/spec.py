@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from econgs_bench.methods.gaussian_splatting.spec import SPEC as PLAIN
-from econgs_bench.methods.interface import RateKnob
+from econgs_bench.methods.interface import RateKnob, built_in
 
 
 @dataclass(frozen=True)
@@ -45,5 +45,6 @@ SPEC = replace(
     ),
     version="3",
     implementation="econgs_bench.methods.coded.method:CodedSplatting",
+    source=built_in("coded", "formats", "gaussian_splatting"),
     rate_knobs=(RateKnob("codec", tuple(CODECS), refit=False),),
 )

@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 
 from econgs_bench.datasets.scratch import is_mapped
+from econgs_bench.econgs.context.symbols import SCALINGS
 from econgs_bench.methods.econgs.spec import EcongsOptions
 from econgs_bench.methods.econgs.start import starting_points
 from econgs_bench.methods.interface import Refused, SceneInput
@@ -24,7 +25,7 @@ def group_bytes(group: Sequence[SceneInput], options: EcongsOptions) -> int:
 
     Views that lie in a file (:mod:`.datasets.scratch`) take none.
     """
-    values = options.features + 6 + 3 * options.offsets
+    values = options.features + SCALINGS + 3 * options.offsets
     images = [views.images for scene in group for views in (scene.train, scene.validation)]
     views = sum(one.nbytes for one in images if not is_mapped(one))
     anchors = [_anchors(scene, options) for scene in group]

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 from econgs_bench.methods.interface import (
-    SHARED_SOURCE,
     Configuration,
     MethodSpec,
     RateKnob,
+    built_in,
     option,
     with_default,
 )
@@ -167,7 +167,7 @@ SPEC = MethodSpec(
     ),
     version="7",
     implementation="econgs_bench.methods.econgs.method:Econgs",
-    source=SHARED_SOURCE,
+    source=built_in("econgs"),
     joint=True,
     composable=True,
     edits=frozenset({"palette", "opacity", "light", "shading"}),

@@ -23,9 +23,10 @@ from econgs_bench.econgs.anchors.growing import AnchorRules
 from econgs_bench.econgs.anchors.scalings import activated
 from econgs_bench.econgs.anchors.shading import raw_specular
 from econgs_bench.econgs.context.arrays import round_arrays
+from econgs_bench.econgs.context.group import GroupAttributes, SceneAttributes
 from econgs_bench.econgs.context.model import Attributes, ContextConfig
 from econgs_bench.econgs.context.positions import PositionGrid
-from econgs_bench.econgs.context.stream import GroupAttributes, SceneAttributes, round_group
+from econgs_bench.econgs.context.quantiser import round_group
 from econgs_bench.econgs.optim import Adam
 from econgs_bench.methods.econgs.control import STEPS, RateControl
 from econgs_bench.methods.econgs.model import EcongsModel, Group, decoders_metadata
@@ -33,32 +34,37 @@ from econgs_bench.methods.econgs.schedule import Schedule
 from econgs_bench.methods.econgs.spec import EcongsOptions
 from econgs_bench.methods.econgs.start import starting_points
 from econgs_bench.methods.interface import Checkpoint, SceneInput
-from econgs_bench.methods.shared.anchors import AnchorLoop, Rate, hidden_units
+from econgs_bench.methods.shared.anchors import (
+    AnchorGrowth,
+    AnchorTrainer,
+    DrawnAnchors,
+    LearningRate,
+    hidden_units,
+)
 from econgs_bench.methods.shared.coding import coded_context
-from econgs_bench.methods.shared.rent import Frame, Holding, some_views
+from econgs_bench.methods.shared.pruning import GaussiansInView, Prunable, some_views
 from econgs_bench.methods.shared.training import (
-    CHECK_EVERY,
     TrainingState,
     are_transparent,
     to_numpy,
     training_images,
 )
 
-DECODER_RATES: dict[str, Rate] = {
+DECODER_LEARNING_RATES: dict[str, LearningRate] = {
     "opacity": (2e-3, 2e-5),
     "shading": (8e-3, 5e-5),
     "normal": (8e-3, 5e-5),
     "offset": (2e-3, 2e-5),
 }
-COVARIANCE_RATE = 4e-3
+COVARIANCE_LR = 4e-3
 """Its first learning rate; the last is a share of it, the option ``last_lr_share``."""
-STATED_RATES: dict[str, Rate] = {"opacity": (1e-2, 1e-4), "covariance": (1e-2, 1e-4)}
+STATED_LEARNING_RATES: dict[str, LearningRate] = {"opacity": (1e-2, 1e-4), "covariance": (1e-2, 1e-4)}
 """Of the networks that decode what the paper's sentence on learning rates names."""
-SCALING_RATE: Rate = (1e-2, 1e-4)
-OFFSET_RATE: Rate = (1e-2, 1e-4)
+SCALING_LR: LearningRate = (1e-2, 1e-4)
+OFFSET_LR: LearningRate = (1e-2, 1e-4)
 """Times the extent."""
-CONTEXT_RATE = (5e-3, 1e-5)
-EMBEDDING_RATE = (2e-3, 2e-5)
+CONTEXT_LR: LearningRate = (5e-3, 1e-5)
+EMBEDDING_LR: LearningRate = (2e-3, 2e-5)
 _EMBEDDING_SPREAD = 0.01
 COLOR_SAMPLE = 256
 """Anchors whose offset colors a step regularises."""
@@ -101,11 +107,11 @@ class _Scene:
         self.light = None if light is None else light.direction
 
 
-class Trainer(AnchorLoop):
-    """State of a fit: anchors of every scene, shared networks, optimiser, order of views, random state.
+class Trainer(AnchorTrainer):
+    """A fit of anchors of every scene and networks that they share. Each iteration draws a view of one scene.
 
     Arguments: the scenes to train together, resolved options, and those of
-    :class:`.methods.shared.training.TrainingLoop`. Each step sees one view of one scene.
+    :class:`.methods.shared.training.TrainingLoop`.
 
     Raises:
         Refused: a scene without views or points.
@@ -118,8 +124,7 @@ class Trainer(AnchorLoop):
     def __init__(
         self, group: Sequence[SceneInput], options: EcongsOptions, iterations: int, seed: int, device: str
     ) -> None:
-        super().__init__(group, iterations, seed, device)
-        self.options = options
+        super().__init__(group, options, iterations, seed, device)
         self.schedule = make_schedule(iterations, options)
         starts = [starting_points(source, options, seed) for source in group]
         first = sum(len(points) for points, _ in starts)
@@ -131,7 +136,7 @@ class Trainer(AnchorLoop):
             for i, (source, start) in enumerate(zip(group, starts, strict=True))
         ]
         self.sets = [scene.anchors for scene in self.scenes]
-        self.rules = AnchorRules(
+        rules = AnchorRules(
             voxel=options.voxel,
             init_factor=options.init_factor,
             gradient=growth_threshold(group, options, iterations),
@@ -140,7 +145,6 @@ class Trainer(AnchorLoop):
             limit=options.max_anchors,
         )
         self.batch = len(self.scenes) if options.minibatch == "scenes" else 1
-        self.fresh = True  # no gradients wait for the rest of a batch
         groups: dict[str, Tensor | Sequence[Tensor]] = {}
         for scene in self.scenes:
             groups |= scene.anchors.groups()
@@ -154,17 +158,10 @@ class Trainer(AnchorLoop):
             self.coding = Coding(config, self.schedule, self.generator, device, sample=options.rate_sample)
             groups |= self.coding.groups()
         self.optimiser = Adam(groups, dict.fromkeys(groups, 0.0))
+        self.densification = AnchorGrowth(self, rules)
         self.control = RateControl(options.target_bytes * len(self.scenes), options.target_psnr)
 
-    @property
-    def may_pause(self) -> bool:
-        """Whether no gradients wait for the rest of a batch."""
-        return self.fresh
-
-    def step(self) -> dict[str, float]:
-        self.iteration += 1
-        self.settle_rent()
-        self.begin_coding()
+    def draw(self) -> DrawnAnchors:
         place, view = self.next_view()
         scene = self.scenes[place]
         camera = scene.source.train.cameras[view]
@@ -175,10 +172,10 @@ class Trainer(AnchorLoop):
         if len(rows) < len(positions):
             positions = positions.index_select(0, rows)
             values = values.of(rows)
-        rate = None
+        bits = None
         if self.coding is not None:
             masks = self._masks(scene, values) if culls(self.options) else None
-            values, rate = self.coding.apply(anchors, values, rows, self.count, self.iteration, masks)
+            values, bits = self.coding.apply(anchors, values, rows, self.count, self.iteration, masks)
         decoded = self._decode(scene, camera, positions, values)
         splats, offset = self.splat(decoded, camera)
         back = scene.source.train.background
@@ -186,46 +183,33 @@ class Trainer(AnchorLoop):
         parts["scale"] = self._scale_loss(decoded.scales)
         if self.options.color_weight:
             parts["color"] = self._color_loss(scene, camera, positions, values.features)
-        if rate is not None:
-            present_weight = self.options.rate_weight * self.control.factor
-            parts["rate"] = present_weight * (rate.attributes + rate.grid)
-        loss = sum(parts.values(), torch.zeros((), device=self.device))
-        report = self.report(parts, None if rate is None else {"bits per attribute": rate.attributes})
-        if self.fresh:
-            self.optimiser.zero_grad()
-            self.fresh = False
-        if loss.requires_grad:
-            (loss / self.batch).backward()
-            if offset is not None and offset.grad is not None:
-                size = (camera.width, camera.height)
-                anchors.statistics.record(
-                    rows, decoded.raw_opacities, decoded.slots, offset.grad * self.batch, splats.radii, size
-                )
-            self._set_rates(scene)
-        if self._closes_batch():
-            self.optimiser.step()
-            self.fresh = True
-        if not len(decoded.means) and len(scene.anchors) and not self.options.view_direction:
-            opacities = partial(self._opacities, scene)
-            self.revive(
-                truth,
-                scene.transparent,
-                lambda: bool((opacities() <= 0.0).all()),
-                lambda: opacities().mean(0),
-            )
-        if self.schedule.grows(self.iteration):
-            self.grow()
+        if bits is not None:
+            present_lambda = self.options.rate_weight * self.control.factor
+            parts["rate"] = present_lambda * (bits.attributes + bits.grid)
+        return DrawnAnchors(
+            losses=parts,
+            figures={} if bits is None else {"bits per attribute": bits.attributes},
+            scene=place,
+            camera=camera,
+            offset=offset,
+            radii=splats.radii,
+            anchors=anchors,
+            rows=rows,
+            decoded=decoded,
+            empty=len(anchors) > 0 and self.is_empty(decoded, truth, scene.transparent),
+        )
+
+    def step(self) -> dict[str, float]:
+        report = super().step()
         if self.control.active and self.schedule.corrects_rate(self.iteration, STEPS):
             model = self.model()
             self.control.correct(model.bytes_estimate(), self._psnr(model))
-        if self.iteration % CHECK_EVERY == 0:
-            self.check_finite()
         return report
 
-    def _closes_batch(self) -> bool:
+    def completes_batch(self) -> bool:
         """Whether the optimiser steps now: when each scene had its view, or anchors are about to change."""
         schedule, i = self.schedule, self.iteration
-        changes = schedule.grows(i) or schedule.settles_rent(i + 1) or i == schedule.context_start
+        changes = schedule.grows(i) or schedule.prunes_by_contribution(i + 1) or i == schedule.context_start
         return i % self.batch == 0 or changes or i == schedule.iterations
 
     def _decode(self, scene: _Scene, camera: Camera, positions: Tensor, values: Attributes) -> ViewGaussians:
@@ -241,10 +225,18 @@ class Trainer(AnchorLoop):
         )
 
     @torch.no_grad()
-    def _opacities(self, scene: _Scene) -> Tensor:
+    def _opacities(self, scene: int) -> Tensor:
         """(N, K) outputs of the opacity network, the same in every view."""
-        names = scene.anchors.name("features"), f"{scene.key}/embedding"
+        one = self.scenes[scene]
+        names = one.anchors.name("features"), f"{one.key}/embedding"
         return self.decoders.raw_opacities(*(self.optimiser[name] for name in names))
+
+    def shows_nothing(self, scene: int) -> bool:
+        """Whether every Gaussian of a scene is hidden, from every direction."""
+        return not self.options.view_direction and bool((self._opacities(scene) <= 0.0).all())
+
+    def mean_opacities(self, scene: int) -> Tensor:
+        return self._opacities(scene).mean(0)
 
     def _masks(self, scene: _Scene, values: Attributes) -> Callable[[Tensor], Tensor]:
         """The Gaussians of some of these anchors that are not culled: only they need offsets."""
@@ -288,21 +280,23 @@ class Trainer(AnchorLoop):
         pairs = [(i, view) for i, count in enumerate(counts) for view in range(count)]
         return [pairs[i] for i in self.shuffled(len(pairs))]
 
-    def holdings(self) -> Iterable[Holding]:
+    def prunable(self) -> Iterable[Prunable]:
         for scene in self.scenes:
-            seen = self.rent_scene(scene.source, scene.images, scene.transparent, self._frame(scene))
-            yield Holding(len(scene.anchors), [seen], partial(scene.anchors.keep, self.optimiser))
+            views = self.pruning_views(
+                scene.source, scene.images, scene.transparent, self._gaussians_in_view(scene)
+            )
+            yield Prunable(len(scene.anchors), [views], partial(scene.anchors.keep, self.optimiser))
 
-    def _frame(self, scene: _Scene) -> Frame:
-        """Draws the anchors of a scene as they are now."""
+    def _gaussians_in_view(self, scene: _Scene) -> GaussiansInView:
+        """Decodes the anchors of a scene as they are now."""
         positions, values = scene.anchors.positions, self.attributes(scene.anchors)
 
-        def frame(camera: Camera, kept: Tensor) -> tuple[ViewGaussians, Tensor]:
+        def in_view(camera: Camera, kept: Tensor) -> tuple[ViewGaussians, Tensor]:
             rows = (kept & visible_anchors(camera, positions, values.scalings)).nonzero()[:, 0]
             decoded = self._decode(scene, camera, positions.index_select(0, rows), values.of(rows))
             return decoded, rows[decoded.slots // scene.anchors.offsets]
 
-        return frame
+        return in_view
 
     def _psnr(self, model: EcongsModel) -> float:
         """Mean of the scenes' PSNR on validation views, or on some training views where there are none."""
@@ -318,24 +312,23 @@ class Trainer(AnchorLoop):
             values.append(-10.0 * math.log10(max(error, 1e-10)))
         return sum(values) / len(values)
 
-    def _set_rates(self, scene: _Scene) -> None:
-        rates = self.optimiser.rates
+    def learning_rates(self, scene: int = 0) -> dict[str, float]:
+        drawn, first = self.scenes[scene], self.options.feature_lr
         decoders = {
-            **DECODER_RATES,
-            "covariance": (COVARIANCE_RATE, self.options.last_lr_share * COVARIANCE_RATE),
+            **DECODER_LEARNING_RATES,
+            "covariance": (COVARIANCE_LR, self.options.last_lr_share * COVARIANCE_LR),
         }
         if self.options.decoder_rates == "stated":
-            decoders |= STATED_RATES
-        for name in self.decoders.names:
-            rates[name] = self.decayed(decoders[name])
-        first = self.options.feature_lr
-        rates[scene.anchors.name("features")] = self.decayed((first, 0.01 * first))
-        rates[scene.anchors.name("log_scalings")] = self.decayed(SCALING_RATE)
-        rates[scene.anchors.name("offsets")] = self.decayed(OFFSET_RATE) * scene.source.extent
-        rates[f"{scene.key}/embedding"] = self.decayed(EMBEDDING_RATE)
-        rates[f"{scene.key}/palette"] = self.options.palette_lr
+            decoders |= STATED_LEARNING_RATES
+        rates = {name: self.decayed(decoders[name]) for name in self.decoders.names}
+        rates[drawn.anchors.name("features")] = self.decayed((first, 0.01 * first))
+        rates[drawn.anchors.name("log_scalings")] = self.decayed(SCALING_LR)
+        rates[drawn.anchors.name("offsets")] = self.decayed(OFFSET_LR) * drawn.source.extent
+        rates[f"{drawn.key}/embedding"] = self.decayed(EMBEDDING_LR)
+        rates[f"{drawn.key}/palette"] = self.options.palette_lr
         if self.coding is not None:
-            rates["grid"] = rates["head"] = self.decayed(CONTEXT_RATE)
+            rates["grid"] = rates["head"] = self.decayed(CONTEXT_LR)
+        return rates
 
     @torch.no_grad()
     def decoded_offsets(self, anchors: AnchorSet) -> Tensor | None:

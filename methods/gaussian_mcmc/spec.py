@@ -6,7 +6,14 @@ from econgs_bench.methods.gaussian_splatting.spec import PUBLISHED as PLAIN_PUBL
 from econgs_bench.methods.gaussian_splatting.spec import QUICK, HarmonicsOptions
 from econgs_bench.methods.gaussian_splatting.spec import SPEC as PLAIN
 from econgs_bench.methods.gaussian_splatting.spec import TUNED as PLAIN_TUNED
-from econgs_bench.methods.interface import Configuration, OptionValue, RateKnob, option, with_default
+from econgs_bench.methods.interface import (
+    Configuration,
+    OptionValue,
+    RateKnob,
+    built_in,
+    option,
+    with_default,
+)
 from econgs_bench.methods.shared import splatting
 
 PUBLISHED: dict[str, OptionValue] = {**PLAIN_PUBLISHED, "start_opacity": 0.5, "cap": 300_000}
@@ -51,6 +58,7 @@ SPEC = replace(
     ),
     version="3",
     implementation="econgs_bench.methods.gaussian_mcmc.method:GaussianMcmc",
+    source=built_in("gaussian_mcmc", "gaussian_splatting"),
     options=McmcOptions,
     presets={
         "quick": {**QUICK, **TUNED, "cap": 20_000},

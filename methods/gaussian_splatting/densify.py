@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 import torch
+
+from econgs_bench.econgs.splat.composite import MIN_ALPHA
+from econgs_bench.methods.gaussian_splatting.gaussians import DrawnGaussians, GaussianTrainer
+from econgs_bench.methods.shared.densification import Densification
+from econgs_bench.methods.shared.training import under
 
 SPLIT_SCALE = 1.6
 SPLIT_PARTS = 2
@@ -47,6 +54,19 @@ class GrowthStatistics:
         return self.gradients / self.visits.clamp(min=1.0)
 
 
+class GrowthOptions(Protocol):
+    """Options of growth, as :class:`.methods.gaussian_splatting.spec.GaussianOptions` has them."""
+
+    @property
+    def growth_gradient(self) -> float: ...
+    @property
+    def dense_fraction(self) -> float: ...
+    @property
+    def prune_opacity(self) -> float: ...
+    @property
+    def max_gaussians(self) -> int: ...
+
+
 @dataclass(frozen=True)
 class GrowthRules:
     """Thresholds of growth and pruning.
@@ -64,6 +84,17 @@ class GrowthRules:
     prune_opacity: float
     extent: float
     limit: int
+
+    @classmethod
+    def of(cls, options: GrowthOptions, extent: float) -> GrowthRules:
+        """The thresholds that options set, in a scene of that extent."""
+        return cls(
+            gradient=options.growth_gradient,
+            dense_scale=options.dense_fraction * extent,
+            prune_opacity=options.prune_opacity,
+            extent=extent,
+            limit=options.max_gaussians,
+        )
 
 
 @dataclass(frozen=True)
@@ -123,6 +154,92 @@ def grow(
         keep &= statistics.radii <= LARGE_RADIUS
     stay = ~_prunable(added, rules, prune_large)
     return Growth(keep.nonzero()[:, 0], {name: values[stay] for name, values in added.items()}, limited)
+
+
+class GradientGrowth(Densification[GaussianTrainer, DrawnGaussians]):
+    """Clones and splits Gaussians with high gradients on the screen, and prunes faint and large ones.
+
+    Args:
+        fit: the fit.
+        rules: thresholds.
+        normals: mean gradient of a normal from which its Gaussian grows too, in the first and in the second
+            stage of a fit that learns normals.
+    """
+
+    def __init__(
+        self, fit: GaussianTrainer, rules: GrowthRules, normals: tuple[float, float] | None = None
+    ) -> None:
+        self.rules, self.normals = rules, normals
+        super().__init__(fit)
+
+    def reset(self) -> None:
+        self.statistics = GrowthStatistics.zeros(self.fit.count, self.fit.device)
+        self.normal_gradients = torch.zeros(self.fit.count, device=self.fit.device)
+
+    def after_backward(self, drawn: DrawnGaussians) -> None:
+        if drawn.offset is None or drawn.offset.grad is None:
+            return
+        gradients, radii = drawn.offset.grad, drawn.radii
+        if drawn.rows is not None:  # a view says nothing about Gaussians that its scene does not show
+            gradients = gradients.new_zeros((self.fit.count, 2)).index_copy_(0, drawn.rows, gradients)
+            radii = radii.new_zeros(self.fit.count).index_copy_(0, drawn.rows, radii)
+        self.statistics.record(gradients, radii, drawn.camera.width, drawn.camera.height)
+        if self.normals and (normals := self.fit.optimiser["normals"].grad) is not None:
+            self.normal_gradients += torch.linalg.vector_norm(normals, dim=1)
+
+    def after_step(self, drawn: DrawnGaussians) -> None:
+        schedule, iteration = self.fit.schedule, self.fit.iteration
+        if schedule.grows(iteration):
+            self.grow()
+        if schedule.resets_opacity(iteration):
+            self.fit.optimiser.overwrite("logits", capped_logits(self.fit.optimiser["logits"]))
+        if schedule.prunes_invisible(iteration):
+            self.prune_invisible()
+
+    @torch.no_grad()
+    def grow(self) -> None:
+        """One growth event."""
+        fit, also = self.fit, None
+        fit.check_finite()
+        if self.normals:
+            least = self.normals[fit.schedule.shaded(fit.iteration)]
+            also = self.normal_gradients / self.statistics.visits.clamp(min=1.0) > least
+        growth = grow(
+            {name: fit.optimiser[name].detach() for name in fit.names} | {"logits": fit.pruning_logits()},
+            self.statistics,
+            self.rules,
+            fit.schedule.prunes_large(fit.iteration),
+            fit.generator,
+            also,
+        )
+        fit.optimiser.keep(growth.keep, fit.names)
+        fit.optimiser.append({name: growth.added[name] for name in fit.names})
+        self.reset()
+        self.limited |= growth.limited
+
+    def prune_invisible(self) -> None:
+        """Remove Gaussians that no pixel shows."""
+        seen = self.fit.pruning_logits().sigmoid() >= MIN_ALPHA
+        if not bool(seen.all()):
+            self.fit.keep(seen)
+
+    def stage(self) -> str:
+        if self.fit.count == 0:
+            return "no Gaussians left"
+        if not self.fit.schedule.collects(self.fit.iteration + 1):
+            return "refinement"
+        return f"growth, stopped at {self.rules.limit} Gaussians" if self.limited else "growth"
+
+    def state(self) -> dict[str, torch.Tensor]:
+        state = {f"statistics/{name}": values for name, values in vars(self.statistics).items()}
+        return state | ({"normal_gradients": self.normal_gradients} if self.normals else {})
+
+    def load_state(self, arrays: Mapping[str, torch.Tensor]) -> None:
+        self.statistics = GrowthStatistics(
+            **{name: values.clone() for name, values in under("statistics/", arrays).items()}
+        )
+        if self.normals:
+            self.normal_gradients = arrays["normal_gradients"].clone()
 
 
 def capped_logits(logits: torch.Tensor) -> torch.Tensor:

@@ -43,6 +43,14 @@ class Schedule(Proportional):
         """Whether Gaussians that are too large go as well: once the first published interval is over."""
         return iteration > self._scaled(3_000)
 
+    def prunes_invisible(self, iteration: int) -> bool:
+        """Whether Gaussians that no pixel shows are removed, without growth."""
+        return False
+
+    def shaded(self, iteration: int) -> bool:
+        """Whether colors are shaded: the second stage of methods that have one."""
+        return False
+
     def resets_opacity(self, iteration: int) -> bool:
         if not self.resets or iteration >= self.growth_stop:
             return False

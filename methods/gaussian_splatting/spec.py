@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from econgs_bench.methods.interface import SHARED_SOURCE, Configuration, MethodSpec, OptionValue, option
+from econgs_bench.methods.interface import Configuration, MethodSpec, OptionValue, built_in, option
 from econgs_bench.methods.shared import splatting
 
 PUBLISHED: dict[str, OptionValue] = {
@@ -96,7 +96,7 @@ SPEC = MethodSpec(
     ),
     version="7",
     implementation="econgs_bench.methods.gaussian_splatting.method:GaussianSplatting",
-    source=SHARED_SOURCE,
+    source=built_in("gaussian_splatting"),
     composable=True,
     edits=frozenset({"opacity"}),
     uses_alpha="views are composited on the training background; alpha is also a target of its own",

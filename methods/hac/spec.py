@@ -3,7 +3,14 @@
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from econgs_bench.methods.interface import Configuration, OptionValue, RateKnob, option, with_default
+from econgs_bench.methods.interface import (
+    Configuration,
+    OptionValue,
+    RateKnob,
+    built_in,
+    option,
+    with_default,
+)
 from econgs_bench.methods.scaffold_gs.spec import PUBLISHED as PLAIN_PUBLISHED
 from econgs_bench.methods.scaffold_gs.spec import SPEC as PLAIN
 from econgs_bench.methods.scaffold_gs.spec import AnchorOptions
@@ -65,6 +72,7 @@ SPEC = replace(
     ),
     version="7",
     implementation="econgs_bench.methods.hac.method:Hac",
+    source=built_in("hac", "scaffold_gs", "gaussian_splatting"),
     # Masks move as far as in 30,000 iterations, and decide what shows.
     presets={
         "quick": {**PLAIN.presets["quick"], "start_opacity": 0.0, "mask_lr": 0.045},

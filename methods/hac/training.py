@@ -1,4 +1,4 @@
-"""Training HAC: Scaffold-GS under quantisation noise, with offset masks and the rate in the loss."""
+"""Training HAC: Scaffold-GS under quantisation noise, with offset masks and bits in the loss."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from econgs_bench.datasets.camera import Camera
 from econgs_bench.econgs.anchors.anchor_set import MASKS
 from econgs_bench.econgs.anchors.coding import Coding, saved_grid
 from econgs_bench.econgs.context.arrays import round_arrays
+from econgs_bench.econgs.context.group import GroupAttributes, SceneAttributes
 from econgs_bench.econgs.context.model import Attributes, ContextConfig, draw_sample
 from econgs_bench.econgs.context.positions import PositionGrid
-from econgs_bench.econgs.context.stream import GroupAttributes, SceneAttributes, round_group
+from econgs_bench.econgs.context.quantiser import round_group
 from econgs_bench.methods.hac.model import HacModel
 from econgs_bench.methods.hac.spec import HacOptions
 from econgs_bench.methods.interface import Checkpoint
 from econgs_bench.methods.scaffold_gs import training as scaffold_gs
 from econgs_bench.methods.scaffold_gs.schedule import Schedule
 from econgs_bench.methods.scaffold_gs.training import KEY, Prepared, color_decoders
-from econgs_bench.methods.shared.anchors import Rate, hidden_units
+from econgs_bench.methods.shared.anchors import LearningRate, hidden_units
 from econgs_bench.methods.shared.coding import coded_context
 from econgs_bench.methods.shared.training import TrainingState, to_numpy
 
@@ -30,9 +31,9 @@ LEAST_MASK = 0.01
 """An offset is there if the sigmoid of its mask exceeds this."""
 BOX_MARGIN = 0.1
 """The box of the context's positions exceeds the anchors by this share on every side (published: 1.2 x)."""
-MASK_RATE: Rate = (1e-2, 1e-4)
+MASK_LR: LearningRate = (1e-2, 1e-4)
 """As published, times the extent."""
-CONTEXT_RATE: Rate = (5e-3, 1e-5)
+CONTEXT_LR: LearningRate = (5e-3, 1e-5)
 
 
 class Trainer(scaffold_gs.Trainer):
@@ -55,18 +56,17 @@ class Trainer(scaffold_gs.Trainer):
         self.coding = Coding(config, self.schedule, self.generator, self.device, margin=BOX_MARGIN)
         return {**super().groups(), **self.coding.groups()}
 
-    def rates(self) -> dict[str, float]:
-        """Learning rates of this iteration."""
-        context = self.decayed(CONTEXT_RATE)
-        masks = self.options.mask_lr / MASK_RATE[0] * self.decayed((MASK_RATE[0], self.last_mask_rate))
+    def learning_rates(self, scene: int = 0) -> dict[str, float]:
+        context = self.decayed(CONTEXT_LR)
+        masks = self.options.mask_lr / MASK_LR[0] * self.decayed((MASK_LR[0], self.last_mask_lr))
         masks *= self.scene.extent
         own = {self.anchors.name(MASKS): masks, "grid": context, "head": context}
-        return super().rates() | own
+        return super().learning_rates(scene) | own
 
     @property
-    def last_mask_rate(self) -> float:
+    def last_mask_lr(self) -> float:
         """Last learning rate of masks where the first one is the published; times the extent."""
-        return MASK_RATE[1]
+        return MASK_LR[1]
 
     def visible(self, values: Attributes, camera: Camera) -> Tensor:
         """(N,) anchors that may show in a view; while growth counts visits, those without an offset too.
@@ -81,8 +81,7 @@ class Trainer(scaffold_gs.Trainer):
         return self.optimiser[self.anchors.name(MASKS)].detach().sigmoid() > LEAST_MASK
 
     def prepare(self, values: Attributes, rows: Tensor) -> Prepared:
-        """Noise or rounding, masks with straight-through gradients, and the losses of rate and masks."""
-        self.begin_coding()
+        """Noise or rounding, masks with straight-through gradients, and the losses of bits and masks."""
         soft = self.optimiser[self.anchors.name(MASKS)].sigmoid()
         hard = (soft.detach() > LEAST_MASK).to(soft.dtype)
         masks = (hard + (soft - soft.detach())).index_select(0, rows)
@@ -93,14 +92,13 @@ class Trainer(scaffold_gs.Trainer):
             there = hard.index_select(0, rows).any(1).nonzero()[:, 0]
             chosen = draw_sample(len(there), self.generator, self.coding.sample)
             sample = there.index_select(0, chosen.to(there.device))
-        values, rate = self.coding.apply(
+        values, bits = self.coding.apply(
             self.anchors, values, rows, total, self.iteration, masks_of, sample=sample
         )
         losses: dict[str, Tensor] = {}
-        if rate is not None and total:
+        if bits is not None and total:
             valid = float(hard.any(1).float().mean())
-            bits = rate.attributes * valid + rate.grid
-            losses["rate"] = self.options.rate_weight * bits
+            losses["rate"] = self.options.rate_weight * (bits.attributes * valid + bits.grid)
             losses["masks"] = self.options.mask_weight * soft.mean()
         return Prepared(values, masks, losses)
 

@@ -6,6 +6,6 @@ from econgs_bench.methods.shared.method import TrainerMethod
 
 
 class HacPlus(TrainerMethod):
-    """HAC with contexts within an anchor and masks that learn from the rate (Chen et al. 2025)."""
+    """HAC with contexts within an anchor and masks that learn from bits (Chen et al. 2025)."""
 
     name, trainer, model = "hac-plus", Trainer, HacPlusModel

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 from econgs_bench.methods.hac.spec import PUBLISHED, HacOptions
 from econgs_bench.methods.hac.spec import SPEC as PLAIN
-from econgs_bench.methods.interface import Configuration, option, with_default
+from econgs_bench.methods.interface import Configuration, built_in, option, with_default
 from econgs_bench.methods.shared import splatting
 
 
@@ -35,6 +35,7 @@ SPEC = replace(
     ),
     version="4",
     implementation="econgs_bench.methods.hac_plus.method:HacPlus",
+    source=built_in("hac_plus", "hac", "scaffold_gs", "gaussian_splatting"),
     options=HacPlusOptions,
     presets={**PLAIN.presets, "quick": {**PLAIN.presets["quick"], "offsets": 5}},
     configurations={

@@ -1,4 +1,4 @@
-"""Training HAC++: HAC with mixtures for features, and masks that learn from the rate."""
+"""Training HAC++: HAC with mixtures for features, and masks that learn from bits."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from econgs_bench.methods.hac.training import LEAST_MASK
 from econgs_bench.methods.hac_plus.model import HacPlusModel
 from econgs_bench.methods.hac_plus.spec import HacPlusOptions
 from econgs_bench.methods.scaffold_gs.training import Prepared
-from econgs_bench.methods.shared.anchors import Rate
+from econgs_bench.methods.shared.anchors import LearningRate
 
-INTRA_RATE: Rate = (5e-3, 5e-4)
-LAST_MASK_RATE, MOST_LAST_MASK_RATE = 8e-5, 1.5e-3
-"""Times the extent: at lambda 0.001, in proportion to lambda; and at most."""
+INTRA_LR: LearningRate = (5e-3, 5e-4)
+LAST_MASK_LR, MOST_LAST_MASK_LR = 8e-5, 1.5e-3
+"""Last learning rate of masks, as a multiple of the scene's extent: at lambda = 0.001 (it is proportional to
+lambda), and at most."""
 
 
 class Trainer(hac.Trainer):
@@ -33,14 +34,13 @@ class Trainer(hac.Trainer):
         """Sizes of the context model."""
         return ContextConfig.of(options, options.features, hidden, options.chunk)
 
-    def rates(self) -> dict[str, float]:
-        """Learning rates of this iteration."""
-        return super().rates() | {"intra": self.decayed(INTRA_RATE)}
+    def learning_rates(self, scene: int = 0) -> dict[str, float]:
+        return super().learning_rates(scene) | {"intra": self.decayed(INTRA_LR)}
 
     @property
-    def last_mask_rate(self) -> float:
+    def last_mask_lr(self) -> float:
         """In proportion to lambda."""
-        return max(1e-8, min(MOST_LAST_MASK_RATE, LAST_MASK_RATE * self.options.rate_weight / 1e-3))
+        return max(1e-8, min(MOST_LAST_MASK_LR, LAST_MASK_LR * self.options.rate_weight / 1e-3))
 
     def prepare(self, values: Attributes, rows: Tensor) -> Prepared:
         """As in HAC, but bits are those of a sample of all anchors, visible or not.
@@ -50,12 +50,11 @@ class Trainer(hac.Trainer):
         """
         if not self.schedule.coded(self.iteration):
             return super().prepare(values, rows)
-        self.begin_coding()
         total, seen = len(self.anchors), len(rows)
         masks, anchors, soft = self._masks()
         sample = draw_sample(total, self.generator, self.coding.sample).to(rows.device)
         every = torch.cat([rows, sample])
-        noisy, rate = self.coding.apply(
+        noisy, bits = self.coding.apply(
             self.anchors,
             self.attributes(self.anchors).of(every),
             every,
@@ -66,8 +65,8 @@ class Trainer(hac.Trainer):
             weights=partial(anchors[every].index_select, 0),
         )
         losses: dict[str, Tensor] = {}
-        if rate is not None and total:
-            losses["rate"] = self.options.rate_weight * (rate.attributes + rate.grid)
+        if bits is not None and total:
+            losses["rate"] = self.options.rate_weight * (bits.attributes + bits.grid)
             if self.options.mask_weight:
                 losses["masks"] = self.options.mask_weight * soft.mean()
         shown = Attributes(*(one[:seen] for one in noisy))

@@ -34,7 +34,6 @@ class IvrSchedule(Schedule):
         return max(1, min(100, self._scaled(2_000) // 3))
 
     def shaded(self, iteration: int) -> bool:
-        """Whether colors are shaded: the second stage."""
         return iteration > self.shading_start
 
     @property
@@ -60,8 +59,7 @@ class IvrSchedule(Schedule):
             return (iteration - self.shading_start) % self.shaded_interval == 0
         return super().grows(iteration)
 
-    def prunes(self, iteration: int) -> bool:
-        """Whether invisible Gaussians are removed, without growth."""
+    def prunes_invisible(self, iteration: int) -> bool:
         if iteration < self.growth_stop or self._grows_again(iteration):
             return False
         interval = self.shaded_interval if self.shaded(iteration) else self.growth_interval

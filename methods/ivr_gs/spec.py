@@ -7,7 +7,7 @@ from econgs_bench.methods.gaussian_splatting.spec import PUBLISHED as PLAIN_PUBL
 from econgs_bench.methods.gaussian_splatting.spec import QUICK, GaussianOptions
 from econgs_bench.methods.gaussian_splatting.spec import SPEC as PLAIN
 from econgs_bench.methods.gaussian_splatting.spec import TUNED as PLAIN_TUNED
-from econgs_bench.methods.interface import Configuration, OptionValue, RateKnob, option
+from econgs_bench.methods.interface import Configuration, OptionValue, RateKnob, built_in, option
 from econgs_bench.methods.shared import splatting
 from econgs_bench.methods.shared.schedule import Decay
 
@@ -86,6 +86,7 @@ SPEC = replace(
     ),
     version="9",
     implementation="econgs_bench.methods.ivr_gs.method:IvrGs",
+    source=built_in("ivr_gs", "formats", "gaussian_splatting"),
     edits=frozenset({"palette", "opacity", "light", "shading"}),
     uses_alpha=(
         "views are composited on the training background; alpha is also a target of its own, as a mask; the "

@@ -17,6 +17,8 @@ from econgs_bench.econgs.losses import ssim
 from econgs_bench.econgs.optim import Adam
 from econgs_bench.econgs.splat.composite import MIN_ALPHA
 from econgs_bench.econgs.splat.rasterise import SplatImages
+from econgs_bench.methods.gaussian_splatting.densify import GradientGrowth, GrowthRules
+from econgs_bench.methods.gaussian_splatting.gaussians import DrawnGaussians
 from econgs_bench.methods.gaussian_splatting.training import LEARNING_RATES, Trainer
 from econgs_bench.methods.interface import Checkpoint, SceneInput
 from econgs_bench.methods.ivr_gs.losses import mean_over, normal_loss, smoothness_loss
@@ -30,12 +32,12 @@ from econgs_bench.methods.ivr_gs.model import (
 )
 from econgs_bench.methods.ivr_gs.schedule import IvrSchedule
 from econgs_bench.methods.ivr_gs.spec import IvrOptions
-from econgs_bench.methods.shared.rent import Frame, Scene
+from econgs_bench.methods.shared.pruning import GaussiansInView, PruningViews
 from econgs_bench.methods.shared.training import SceneLabel, TrainingState
 
 GEOMETRY = ("means", "log_scales", "quats", "logits", "normals")
 SHADING = ("offset_color", "ambient", "diffuse", "specular", "shininess")
-NORMAL_RATE = 0.01
+NORMAL_LR = 0.01
 FIRST_SHININESS = 1.0
 _SSIM_SHARE = 0.2  # of the alpha mask's loss; the published one's other part has no gradient
 
@@ -73,7 +75,13 @@ class IvrTrainer(Trainer):
         parameters, rates = super()._start()
         normals = torch.randn(parameters["means"].shape, generator=self.generator)
         parameters["normals"] = torch.nn.functional.normalize(normals, dim=1)
-        return parameters, rates | {"normals": NORMAL_RATE}
+        return parameters, rates | {"normals": NORMAL_LR}
+
+    def _densification(self) -> GradientGrowth:
+        rules = GrowthRules.of(self.options, self.scene.extent)
+        return GradientGrowth(
+            self, rules, (self.options.normal_gradient, self.options.shaded_normal_gradient)
+        )
 
     def stage(self) -> str:
         if not self.schedule.shaded(self.iteration + 1) or self.count == 0:
@@ -85,47 +93,41 @@ class IvrTrainer(Trainer):
         """Whether the second stage has begun."""
         return "ambient" in self.names
 
-    def step(self) -> dict[str, float]:
-        if self.schedule.shaded(self.iteration + 1) and not self.shading:
+    def begin_step(self) -> None:
+        if self.schedule.shaded(self.iteration) and not self.shading:
             self._begin_shading({name: self.optimiser[name].detach().clone() for name in GEOMETRY})
-        losses = super().step()
-        if self.schedule.prunes(self.iteration):
-            self._prune()
-        return losses
+        super().begin_step()
 
     def _begin_shading(self, geometry: dict[str, Tensor]) -> None:
         """A fresh optimiser for what the second stage learns."""
         shading = first_shading(geometry["means"], self.options)
         rates = {name: LEARNING_RATES[name] for name in ("log_scales", "quats")}
-        rates |= {"means": 0.0, "logits": self.options.opacity_lr, "normals": NORMAL_RATE}
-        self.first_rates = rates | dict.fromkeys(SHADING, self.options.shading_lr)
-        self.optimiser = Adam(geometry | shading, self.first_rates)
-        self._forget()
+        rates |= {"means": 0.0, "logits": self.options.opacity_lr, "normals": NORMAL_LR}
+        self.first_learning_rates = rates | dict.fromkeys(SHADING, self.options.shading_lr)
+        self.optimiser = Adam(geometry | shading, self.first_learning_rates)
+        self.densification.reset()
 
     # ------------------------------------------------------------------ losses
 
-    def _losses(
-        self, camera: Camera, truth: Tensor, back: RGB | Tensor
-    ) -> tuple[dict[str, Tensor], Tensor | None, Tensor]:
+    def drawn(self, camera: Camera, truth: Tensor, back: RGB | Tensor) -> DrawnGaussians:
         now = self.optimiser
         normals = now["normals"]
         unit = normals / torch.linalg.vector_norm(normals, dim=1, keepdim=True).clamp(min=MIN_NORMAL)
-        if not self.shading:
-            splats, offset = self._splat(torch.cat([self._colors(camera), unit], dim=1), camera)
-            return self._common_losses(splats, camera, truth, back), offset, splats.radii
-        scene = self._shaded()
-        features = torch.cat(
-            [self._seen(scene, camera), unit, scene.offsets, scene.coefficients[:, :3]], dim=1
-        )
-        splats, offset = self._splat(features, camera)
+        if self.shading:
+            scene = self._shaded()
+            features = [self._seen(scene, camera), unit, scene.offsets, scene.coefficients[:, :3]]
+        else:
+            features = [self.colors(camera), unit]
+        splats, offset = self.splat(self.gaussians(torch.cat(features, dim=1)), camera)
         losses = self._common_losses(splats, camera, truth, back)
-        offsets, coefficients = splats.features[..., 6:9], splats.features[..., 9:12]
-        opaque = truth[..., 3] > 0
-        losses["offset colors"] = self._weight("offset") * mean_over(offsets.square(), opaque)
-        losses["smoothness"] = self._weight("smoothness") * smoothness_loss(coefficients, truth[..., :3])
-        if bool((seen := splats.radii > 0).any()):
-            losses["opacity"] = self._weight("opacity") * scene.opacities[seen].mean()
-        return losses, offset, splats.radii
+        if self.shading:
+            offsets, coefficients = splats.features[..., 6:9], splats.features[..., 9:12]
+            opaque = truth[..., 3] > 0
+            losses["offset colors"] = self._weight("offset") * mean_over(offsets.square(), opaque)
+            losses["smoothness"] = self._weight("smoothness") * smoothness_loss(coefficients, truth[..., :3])
+            if bool((seen := splats.radii > 0).any()):
+                losses["opacity"] = self._weight("opacity") * scene.opacities[seen].mean()
+        return DrawnGaussians(losses=losses, camera=camera, offset=offset, radii=splats.radii)
 
     def _common_losses(
         self, splats: SplatImages, camera: Camera, truth: Tensor, back: RGB | Tensor
@@ -144,43 +146,23 @@ class IvrTrainer(Trainer):
     def _weight(self, part: str) -> float:
         return float(getattr(self.options, f"{part}_weight"))
 
-    def rent_scene(self, source: SceneInput, images: Tensor, transparent: bool, frame: Frame) -> Scene:
-        scene = super().rent_scene(source, images, transparent, frame)
-        return replace(scene, asks_alpha=transparent and (scene.asks_alpha or self.options.mask_weight > 0.0))
+    def pruning_views(
+        self, source: SceneInput, images: Tensor, transparent: bool, gaussians: GaussiansInView
+    ) -> PruningViews:
+        views = super().pruning_views(source, images, transparent, gaussians)
+        return replace(views, asks_alpha=transparent and (views.asks_alpha or self.options.mask_weight > 0.0))
 
     def _shaded(self) -> ShadedGaussians:
         parameters = {name: self.optimiser[name] for name in self.names}
         return shaded_gaussians(self.labels[0], self.palette, parameters, self.options.offset_color)
 
-    def _colors(self, camera: Camera) -> Tensor:
-        return self._seen(self._shaded(), camera) if self.shading else super()._colors(camera)
+    def colors(self, camera: Camera) -> Tensor:
+        return self._seen(self._shaded(), camera) if self.shading else super().colors(camera)
 
     def _seen(self, scene: ShadedGaussians, camera: Camera) -> Tensor:
         """(N, 3) colors of the second stage in a view."""
         eye = torch.as_tensor(camera.position, dtype=torch.float32, device=self.device)
         return scene.colors(eye, self.palette, self.light, Factors())
-
-    # ------------------------------------------------------------------ growth
-
-    def _record(self, gradients: Tensor, radii: Tensor, camera: Camera) -> None:
-        super()._record(gradients, radii, camera)
-        normals = self.optimiser["normals"].grad
-        if normals is not None:
-            self.normal_gradients += torch.linalg.vector_norm(normals, dim=1)
-
-    def _grow(self, also: Tensor | None = None) -> None:
-        least = self.options.shaded_normal_gradient if self.shading else self.options.normal_gradient
-        super()._grow(self.normal_gradients / self.statistics.visits.clamp(min=1.0) > least)
-
-    def _prune(self) -> None:
-        """Remove invisible Gaussians."""
-        seen = self.optimiser["logits"].detach().sigmoid() >= MIN_ALPHA
-        if not bool(seen.all()):
-            self._keep(seen)
-
-    def _forget(self) -> None:
-        super()._forget()
-        self.normal_gradients = torch.zeros(self.count, device=self.device)
 
     # ------------------------------------------------------------------ what comes out
 
@@ -209,7 +191,6 @@ class IvrTrainer(Trainer):
 
     def checkpoint(self) -> Checkpoint:
         state = super().checkpoint()
-        state.arrays["normal_gradients"] = self.normal_gradients.clone()
         state.scalars["palette"] = self.palette.tolist()
         return state
 
@@ -218,7 +199,6 @@ class IvrTrainer(Trainer):
         if "optimiser/ambient/0/value" in arrays:
             self._begin_shading({name: arrays[f"optimiser/{name}/0/value"].clone() for name in GEOMETRY})
         super().resume(checkpoint)
-        self.normal_gradients = arrays["normal_gradients"].clone()
 
 
 def first_shading(means: Tensor, options: IvrOptions) -> dict[str, Tensor]:

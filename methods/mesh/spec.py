@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from econgs_bench.methods.interface import SHARED_SOURCE, Configuration, MethodSpec, RateKnob, option
+from econgs_bench.methods.interface import Configuration, MethodSpec, RateKnob, built_in, option
 
 Coding = Literal["draco", "ply"]
 
@@ -29,7 +29,7 @@ SPEC = MethodSpec(
     ),
     version="1",
     implementation="econgs_bench.methods.mesh.method:MeshMethod",
-    source=SHARED_SOURCE,
+    source=built_in("mesh"),
     composable=True,
     point_sampled=True,
     edits=frozenset({"palette", "opacity", "light", "shading"}),

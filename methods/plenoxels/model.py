@@ -23,8 +23,9 @@ from econgs_bench.datasets.camera import Camera
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.scene import RGB
 from econgs_bench.econgs.rays import camera_rays
-from econgs_bench.econgs.voxels import SH, VoxelGrid, Voxels, bricks_of, drawn
 from econgs_bench.methods.interface import Refused
+from econgs_bench.methods.plenoxels.grid import SH, VoxelGrid, Voxels, bricks_of
+from econgs_bench.methods.plenoxels.march import drawn
 from econgs_bench.methods.plenoxels.spec import DEFLATE
 from econgs_bench.methods.shared.edits import triple
 from econgs_bench.methods.shared.fields import FieldModel

@@ -10,8 +10,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from econgs_bench.datasets.camera import looked_at
-from econgs_bench.econgs.voxels import VoxelGrid, Voxels, bricks_of, lattice, links_of, occupied
 from econgs_bench.methods.interface import SceneInput
+from econgs_bench.methods.plenoxels.grid import VoxelGrid, Voxels, bricks_of, lattice, links_of, occupied
 
 CELLS = 64
 """Cells along the cube in which a hull is looked for first."""

@@ -35,13 +35,13 @@ class Schedule:
         """Iteration after which the grid gets finer."""
         return max(1, round(FINER * self.iterations / PUBLISHED))
 
-    def density_rate(self, iteration: int, first: float) -> float:
+    def density_learning_rate(self, iteration: int, first: float) -> float:
         """Learning rate of densities at an iteration, from 1."""
         published = iteration * PUBLISHED / self.iterations
         rise = math.sin(0.5 * math.pi * min(1.0, published / DELAY))
         decayed = first * math.pow(DENSITY_LAST, published / DECAY)
         return decayed * (DELAYED + (1.0 - DELAYED) * rise)
 
-    def sh_rate(self, iteration: int, first: float) -> float:
+    def sh_learning_rate(self, iteration: int, first: float) -> float:
         """Learning rate of SH coefficients at an iteration, from 1."""
         return first * math.pow(SH_LAST, iteration * PUBLISHED / self.iterations / DECAY)

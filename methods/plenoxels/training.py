@@ -11,22 +11,21 @@ from torch import Tensor
 
 from econgs_bench.datasets.scene import RGB
 from econgs_bench.econgs.rays import PixelRays, camera_rays
-from econgs_bench.econgs.voxels import (
-    SH,
-    VoxelGrid,
-    Voxels,
-    bricks_of,
-    rms_step,
-    trace,
-    variation,
-    voxel_weights,
-)
 from econgs_bench.methods.interface import Checkpoint, Diverged, SceneInput
+from econgs_bench.methods.plenoxels.grid import SH, VoxelGrid, Voxels, bricks_of
+from econgs_bench.methods.plenoxels.march import trace, voxel_weights
 from econgs_bench.methods.plenoxels.model import VoxelModel, VoxelScene
+from econgs_bench.methods.plenoxels.optimise import rms_step, variation
 from econgs_bench.methods.plenoxels.region import Hull, first_grid
 from econgs_bench.methods.plenoxels.schedule import Schedule
 from econgs_bench.methods.plenoxels.spec import PlenoxelsOptions
-from econgs_bench.methods.shared.training import CHECK_EVERY, TrainingLoop, TrainingState, are_transparent
+from econgs_bench.methods.shared.densification import Drawn
+from econgs_bench.methods.shared.training import (
+    TrainingLoop,
+    TrainingState,
+    are_transparent,
+    chosen_background,
+)
 
 FIRST_DENSITY = 0.1
 BETA = 0.95
@@ -57,8 +56,8 @@ class Optimiser:
         return state | {f"colors/0/{part}": voxels.colors[:, :SH].contiguous() for part, voxels in pairs}
 
 
-class Trainer(TrainingLoop):
-    """State of a fit: the grid, the optimiser, the random state.
+class Trainer(TrainingLoop[Drawn]):
+    """A fit of the grid of one scene, whose gradients are formulas.
 
     Arguments: a scene, resolved options, and those of :class:`.methods.shared.training.TrainingLoop`.
 
@@ -74,9 +73,9 @@ class Trainer(TrainingLoop):
     def __init__(
         self, scene: SceneInput, options: PlenoxelsOptions, iterations: int, seed: int, device: str
     ) -> None:
-        super().__init__([scene], iterations, seed, device)
-        self.scene, self.options, self.schedule = scene, options, Schedule(iterations)
-        back = self.chosen_background(scene)
+        super().__init__([scene], options, iterations, seed, device)
+        self.scene, self.schedule = scene, Schedule(iterations)
+        back = chosen_background(options.background, scene)
         assert back is not None
         self.background = back
         images = torch.from_numpy(scene.train.images)
@@ -106,8 +105,8 @@ class Trainer(TrainingLoop):
             return "nothing to see"
         return "coarse" if self.iteration < self.schedule.finer else "fine"
 
-    def step(self) -> dict[str, float]:
-        self.iteration += 1
+    def draw(self) -> Drawn:
+        """Random rays; their gradients are added to the optimiser's."""
         chosen = torch.randint(len(self.pixels), (self.options.rays,), generator=self.generator)
         pixels = self.pixels[chosen]
         seen = trace(self.grid, self.rays(pixels).to(self.device))
@@ -126,18 +125,17 @@ class Trainer(TrainingLoop):
         seen.backward(grad_colors, grad_alpha, self.optimiser.grads)
         if self.options.tv_stage == "both" or self.iteration <= self.schedule.finer:
             parts["variation"] = self._variation()
-        report = self.report(parts)
+        return Drawn(losses=parts)
+
+    def descend(self, drawn: Drawn, loss: Tensor) -> None:
         rates = (
-            self.schedule.density_rate(self.iteration, self.options.density_lr),
-            self.schedule.sh_rate(self.iteration, self.options.sh_lr),
+            self.schedule.density_learning_rate(self.iteration, self.options.density_lr),
+            self.schedule.sh_learning_rate(self.iteration, self.options.sh_lr),
         )
         rms_step(self.grid.voxels, self.optimiser.grads, self.optimiser.moments, rates, BETA)
         if self.iteration == self.schedule.finer:
             self.check_finite()
             self._refine()
-        if self.iteration % CHECK_EVERY == 0:
-            self.check_finite()
-        return report
 
     def _variation(self) -> float:
         """Total variation of some vertices in a row; its gradient is added."""

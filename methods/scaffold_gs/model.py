@@ -21,6 +21,7 @@ from econgs_bench.econgs.anchors.decode import visible_anchors
 from econgs_bench.econgs.anchors.direct import ColorDecoders, decode_colors
 from econgs_bench.econgs.anchors.gaussians import Gaussians, apply_masks
 from econgs_bench.econgs.context.model import Attributes
+from econgs_bench.econgs.context.symbols import SCALINGS
 from econgs_bench.methods.gaussian_splatting.ply import Parts, properties, read_ply, write_ply
 from econgs_bench.methods.interface import Decoding, Edit
 from econgs_bench.methods.shared.coding import LARGEST
@@ -161,7 +162,7 @@ class StoredScene:
         """Its anchors on a device."""
         f, k, count = self.decoders.features, self.decoders.offsets, len(self.rows)
         table = torch.from_numpy(self.rows).to(device)
-        positions, by_axis, features, log_scalings = table.split([3, 3 * k, f, 6], dim=1)
+        positions, by_axis, features, log_scalings = table.split([3, 3 * k, f, SCALINGS], dim=1)
         return SceneAnchors(
             self.name,
             self.background,
@@ -183,7 +184,7 @@ def parts_of(features: int, offsets: int, storage: Storage = "read") -> Parts:
         "offsets": tuple(f"f_offset_{i}" for i in range(3 * offsets)),
         "features": tuple(f"f_anchor_feat_{i}" for i in range(features)),
         "unused opacity": ("opacity",),
-        "scalings": tuple(f"scale_{i}" for i in range(6)),
+        "scalings": tuple(f"scale_{i}" for i in range(SCALINGS)),
         "unused rotation": tuple(f"rot_{i}" for i in range(4)),
     }
     if storage == "released":

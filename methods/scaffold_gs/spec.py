@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from econgs_bench.methods.interface import SHARED_SOURCE, Configuration, MethodSpec, OptionValue, option
+from econgs_bench.methods.interface import Configuration, MethodSpec, OptionValue, built_in, option
 from econgs_bench.methods.shared import splatting
 
 
@@ -30,9 +30,6 @@ class AnchorOptions(splatting.SplattingOptions):
         search=(0, 64),
     )
     offsets: int = option(10, "Gaussians of an anchor (K)", minimum=1, maximum=64)
-    show_half: bool = option(
-        False, "opacities begin with half of the offsets shown, whatever the seed draws (published: not)"
-    )
     start_opacity: float = option(
         0.0,
         "first opacity of all Gaussians of an anchor; 0 = as the network draws it, some hidden (published)",
@@ -86,7 +83,6 @@ PUBLISHED: dict[str, OptionValue] = {
     "max_anchors": 0,
     "hidden": 0,
     "offsets": 10,
-    "show_half": False,
     "start_opacity": 0.0,
     "growth_gradient": 2e-4,
     "feature_lr": 7.5e-3,
@@ -97,7 +93,7 @@ PUBLISHED: dict[str, OptionValue] = {
 TUNED: dict[str, OptionValue] = {
     "start_spacing": 3.0,
     "alpha_weight": 0.35,
-    "rent": 0.1,
+    "prune_loss_db": 0.1,
     "offsets": 3,
     "growth_gradient": 5e-4,
     "scale_weight": 0.035,
@@ -113,7 +109,7 @@ SPEC = MethodSpec(
     ),
     version="7",
     implementation="econgs_bench.methods.scaffold_gs.method:ScaffoldGS",
-    source=SHARED_SOURCE,
+    source=built_in("scaffold_gs", "gaussian_splatting"),
     composable=True,
     edits=frozenset({"opacity"}),
     uses_alpha="views are composited on the training background; alpha is also a target of its own",

@@ -24,23 +24,29 @@ from econgs_bench.methods.interface import Model, Refused, SceneInput
 from econgs_bench.methods.scaffold_gs.model import ScaffoldModel, StoredScene
 from econgs_bench.methods.scaffold_gs.schedule import Schedule
 from econgs_bench.methods.scaffold_gs.spec import AnchorOptions, ScaffoldOptions
-from econgs_bench.methods.shared.anchors import AnchorLoop, Rate, start_cloud
-from econgs_bench.methods.shared.rent import Holding
+from econgs_bench.methods.shared.anchors import (
+    AnchorGrowth,
+    AnchorTrainer,
+    DrawnAnchors,
+    LearningRate,
+    start_cloud,
+)
+from econgs_bench.methods.shared.pruning import Prunable
 from econgs_bench.methods.shared.start import thinned
 from econgs_bench.methods.shared.training import (
-    CHECK_EVERY,
     TrainingState,
     are_transparent,
+    chosen_background,
     to_numpy,
     training_images,
 )
 
 _MOST_OPACITY = 1.0 - 1e-6
 """Of what is inverted: float32 has hidden Gaussians of -1, whose inverse is infinite."""
-DECODER_RATES: dict[str, Rate] = {"opacity": (2e-3, 2e-5), "color": (8e-3, 5e-5)}
-COVARIANCE_RATE = 4e-3
-SCALING_RATE = 7e-3
-OFFSET_RATE: Rate = (1e-2, 1e-4)
+DECODER_LEARNING_RATES: dict[str, LearningRate] = {"opacity": (2e-3, 2e-5), "color": (8e-3, 5e-5)}
+COVARIANCE_LR = 4e-3
+SCALING_LR = 7e-3
+OFFSET_LR: LearningRate = (1e-2, 1e-4)
 """Times the extent."""
 KEY = "scene"
 """Key of the anchors' parameters in the optimiser."""
@@ -61,8 +67,8 @@ class Prepared:
     losses: Mapping[str, Tensor] = field(default_factory=dict)
 
 
-class Trainer(AnchorLoop):
-    """State of a fit: anchors, networks, optimiser, order of views, random state.
+class Trainer(AnchorTrainer):
+    """A fit of the anchors of one scene.
 
     Arguments: a scene, resolved options, and those of :class:`.methods.shared.training.TrainingLoop`.
 
@@ -79,8 +85,8 @@ class Trainer(AnchorLoop):
     def __init__(
         self, scene: SceneInput, options: AnchorOptions, iterations: int, seed: int, device: str
     ) -> None:
-        super().__init__([scene], iterations, seed, device)
-        self.scene, self.options = scene, options
+        super().__init__([scene], options, iterations, seed, device)
+        self.scene = scene
         self.schedule = self.phases(iterations, options)
         start = np.array(start_cloud(scene, options, seed).points, dtype=np.float32)
         if options.start == "cloud":
@@ -103,7 +109,7 @@ class Trainer(AnchorLoop):
         if 0 < limit < len(self.anchors):
             raise Refused(f"{len(self.anchors)} initial anchors are more than max_anchors = {limit}")
         try:
-            self.rules = AnchorRules(
+            rules = AnchorRules(
                 voxel=voxel,
                 init_factor=options.init_factor,
                 levels=options.growth_levels,
@@ -121,21 +127,20 @@ class Trainer(AnchorLoop):
             distance=self.distance,
             generator=self.generator,
         ).to(device)
-        self.background = self.chosen_background(scene)
+        self.background = chosen_background(options.background, scene)
         self.images = training_images(scene.train.images, device)
         self.transparent = are_transparent(self.images)
         groups = self.groups()
         self.optimiser = Adam(groups, dict.fromkeys(groups, 0.0))
+        self.densification = AnchorGrowth(self, rules)
         network = self.decoders.network("opacity")
         if options.start_opacity:
-            network.start_at(options.start_opacity, self._first_opacities())
-        elif options.show_half:
-            network.show_half(self._first_opacities())
+            network.start_at(options.start_opacity, self.mean_opacities())
         else:
             self._show_some()
 
     @torch.no_grad()
-    def _first_opacities(self) -> Tensor:
+    def mean_opacities(self, scene: int = 0) -> Tensor:
         """(K,) outputs of the opacity network, means over anchors and training views.
 
         Features start at zero, so that the networks hide the same offsets in all anchors, and what is hidden
@@ -156,12 +161,12 @@ class Trainer(AnchorLoop):
         Few starts give every offset a negative opacity; what is not shown gets no gradient, and such a fit
         would never begin.
         """
-        if self._shows_nothing():
+        if self.shows_nothing():
             network = self.decoders.network("opacity")
             network.second_weight.neg_()
             network.second_bias.neg_()
 
-    def _shows_nothing(self) -> bool:
+    def shows_nothing(self, scene: int = 0) -> bool:
         """Whether every offset of every anchor is hidden in every training view."""
         values, positions = self.attributes(self.anchors), self.anchors.positions
         return not any(
@@ -181,17 +186,16 @@ class Trainer(AnchorLoop):
         networks = {name: list(self.decoders.network(name).tensors()) for name in NETWORKS}
         return {**self.anchors.groups(), **networks}
 
-    def rates(self) -> dict[str, float]:
-        """Learning rates of this iteration."""
+    def learning_rates(self, scene: int = 0) -> dict[str, float]:
         share = self.decayed((1.0, self.options.last_lr_share))
         anchors = {
             "features": share * self.options.feature_lr,
-            "log_scalings": share * SCALING_RATE,
-            "offsets": self.decayed(OFFSET_RATE) * self.scene.extent,
+            "log_scalings": share * SCALING_LR,
+            "offsets": self.decayed(OFFSET_LR) * self.scene.extent,
         }
         rates = {self.anchors.name(name): rate for name, rate in anchors.items()}
-        rates |= {name: self.decayed(rate) for name, rate in DECODER_RATES.items()}
-        return rates | {"covariance": share * COVARIANCE_RATE}
+        rates |= {name: self.decayed(rate) for name, rate in DECODER_LEARNING_RATES.items()}
+        return rates | {"covariance": share * COVARIANCE_LR}
 
     def visible(self, values: Attributes, camera: Camera) -> Tensor:
         """(N,) anchors that may show in a view."""
@@ -224,14 +228,10 @@ class Trainer(AnchorLoop):
         )
         return ScaffoldModel([stored], state.device)
 
-    # ------------------------------------------------------------------ a step
-
-    def step(self) -> dict[str, float]:
-        self.iteration += 1
-        self.settle_rent()
+    def draw(self) -> DrawnAnchors:
         view = self.next_view()
         camera = self.scene.train.cameras[view]
-        background = self.background_color()
+        background = self.color_of(self.background)
         truth = self.images[view].to(self.device)
         values = self.attributes(self.anchors)
         rows = self.visible(values, camera).nonzero()[:, 0]
@@ -247,37 +247,23 @@ class Trainer(AnchorLoop):
         losses = self.view_losses(splats.features, splats.alpha, truth, background, self.transparent)
         if len(decoded.scales):
             losses["scale"] = self.options.scale_weight * decoded.scales.prod(dim=1).mean()
-        losses |= prepared.losses
-        report = self.report(losses)
-        loss = torch.stack(list(losses.values())).sum()
-        if loss.requires_grad:
-            self.optimiser.zero_grad()
-            loss.backward()
-            if offset is not None and offset.grad is not None:
-                self.anchors.statistics.record(
-                    rows,
-                    decoded.raw_opacities,
-                    decoded.slots,
-                    offset.grad,
-                    splats.radii,
-                    (camera.width, camera.height),
-                )
-            self.optimiser.rates.update(self.rates())
-            self.optimiser.step()
-        if not len(decoded.slots) and len(self.anchors):
-            self.revive(truth, self.transparent, self._shows_nothing, self._first_opacities)
-        if self.schedule.grows(self.iteration):
-            self.grow()
-        if self.iteration % CHECK_EVERY == 0:
-            self.check_finite()
-        return report
+        return DrawnAnchors(
+            losses={**losses, **prepared.losses},
+            camera=camera,
+            offset=offset,
+            radii=splats.radii,
+            anchors=self.anchors,
+            rows=rows,
+            decoded=decoded,
+            empty=len(self.anchors) > 0 and self.is_empty(decoded, truth, self.transparent),
+        )
 
-    def holdings(self) -> Iterable[Holding]:
-        scene = self.rent_scene(self.scene, self.images, self.transparent, self._frame)
-        yield Holding(self.count, [scene], partial(self.anchors.keep, self.optimiser))
+    def prunable(self) -> Iterable[Prunable]:
+        views = self.pruning_views(self.scene, self.images, self.transparent, self._in_view)
+        yield Prunable(self.count, [views], partial(self.anchors.keep, self.optimiser))
 
-    def _frame(self, camera: Camera, kept: Tensor) -> tuple[Gaussians, Tensor]:
-        """What :data:`.methods.shared.rent.Frame` asks for."""
+    def _in_view(self, camera: Camera, kept: Tensor) -> tuple[Gaussians, Tensor]:
+        """What :data:`.methods.shared.pruning.GaussiansInView` asks for."""
         values = self.attributes(self.anchors)
         rows = (kept & self.visible(values, camera)).nonzero()[:, 0]
         positions = self.anchors.positions.index_select(0, rows)

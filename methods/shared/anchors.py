@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -19,27 +20,116 @@ from econgs_bench.econgs.anchors.growing import AnchorRules
 from econgs_bench.econgs.context.model import Attributes
 from econgs_bench.econgs.splat.rasterise import SplatImages
 from econgs_bench.methods.interface import Checkpoint, Refused, SceneInput
+from econgs_bench.methods.shared.densification import Densification, DrawnView
 from econgs_bench.methods.shared.schedule import AnchorSchedule
-from econgs_bench.methods.shared.training import TrainingLoop, under
+from econgs_bench.methods.shared.splat_training import SplatTrainer
+from econgs_bench.methods.shared.training import under
 
-Rate = tuple[float, float]
+LearningRate = tuple[float, float]
 """First and last learning rate; the option ``decay`` says how it goes from one to the other."""
 
 
-class AnchorLoop(TrainingLoop):
+class CloudOptions(Protocol):
+    """Options of the points that anchors start from."""
+
+    @property
+    def start(self) -> str:
+        """Whether anchors start from the scene's cloud, or at "random"."""
+
+    @property
+    def random_points(self) -> int:
+        """Number of points of a random start."""
+
+    @property
+    def random_half_extent(self) -> float:
+        """Half side of the cube of a random start, scene units."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DrawnAnchors(DrawnView):
+    """A view of anchors.
+
+    Attributes:
+        anchors: anchors of the drawn scene.
+        rows: (V,) numbers of the visible anchors.
+        decoded: their Gaussians.
+        empty: the view shows none of them, though something is to be seen.
+    """
+
+    anchors: AnchorSet
+    rows: Tensor
+    decoded: ViewGaussians
+    empty: bool
+
+
+class AnchorGrowth(Densification["AnchorTrainer", DrawnAnchors]):
+    """Grows anchors where the gradients of their Gaussians are high, prunes faint ones, rescues hidden ones.
+
+    Args:
+        fit: the fit.
+        rules: thresholds of growing and pruning.
+    """
+
+    def __init__(self, fit: AnchorTrainer, rules: AnchorRules) -> None:
+        super().__init__(fit)
+        self.rules = rules
+
+    def after_backward(self, drawn: DrawnAnchors) -> None:
+        if drawn.offset is None or drawn.offset.grad is None:
+            return
+        drawn.anchors.statistics.record(
+            drawn.rows,
+            drawn.decoded.raw_opacities,
+            drawn.decoded.slots,
+            drawn.offset.grad * self.fit.batch,
+            drawn.radii,
+            (drawn.camera.width, drawn.camera.height),
+        )
+
+    def after_step(self, drawn: DrawnAnchors) -> None:
+        if drawn.empty:
+            self.rescue(drawn.scene)
+        if self.fit.schedule.grows(self.fit.iteration):
+            self.grow()
+
+    def rescue(self, scene: int) -> None:
+        """Show half of a scene's Gaussians again where all of them are hidden in every training view.
+
+        A part of the loss of alpha's rescue (:data:`.econgs.losses.RESCUE`): while features are nearly zero,
+        all anchors hide together, and what is hidden gets no gradient.
+        """
+        if self.fit.shows_nothing(scene):
+            self.fit.decoders.network("opacity").show_half(self.fit.mean_opacities(scene))
+            self.fit.optimiser.restart("opacity")
+
+    def grow(self) -> None:
+        """One growth event."""
+        fit = self.fit
+        fit.check_finite()
+        for anchors in fit.sets:
+            places = fit.decoded_offsets(anchors)
+            self.limited |= anchors.grow_and_prune(fit.optimiser, self.rules, fit.generator, places)
+        fit.place()
+
+    def stage(self) -> str:
+        stage = self.fit.schedule.stage(self.fit.iteration + 1)
+        if self.fit.count == 0:
+            return f"{stage}, no anchors left"
+        return f"{stage}, stopped at {self.rules.limit} anchors" if self.limited else stage
+
+
+class AnchorTrainer(SplatTrainer[DrawnAnchors]):
     """A fit of anchors; arguments as for its base class.
 
     Attributes:
         sets: the anchors of each scene.
         decoders: the networks of all scenes.
-        rules: thresholds of growth.
         coding: quantisation noise and context model; None where nothing is coded.
     """
 
     sets: list[AnchorSet]
     decoders: Decoders | ColorDecoders
     schedule: AnchorSchedule
-    rules: AnchorRules
     coding: Coding | None = None
 
     @property
@@ -47,13 +137,15 @@ class AnchorLoop(TrainingLoop):
         """Number of anchors of all scenes."""
         return sum(map(len, self.sets))
 
-    def stage(self) -> str:
-        stage = self.schedule.stage(self.iteration + 1)
-        if self.count == 0:
-            return f"{stage}, no anchors left"
-        return f"{stage}, stopped at {self.rules.limit} anchors" if self.limited else stage
+    @abstractmethod
+    def shows_nothing(self, scene: int) -> bool:
+        """Whether every Gaussian of a scene is hidden in every training view."""
 
-    def decayed(self, rate: Rate) -> float:
+    @abstractmethod
+    def mean_opacities(self, scene: int) -> Tensor:
+        """(K,) outputs of the opacity network, means over the anchors and training views of a scene."""
+
+    def decayed(self, rate: LearningRate) -> float:
         """A learning rate at this iteration."""
         return self.schedule.decayed(self.iteration, *rate)
 
@@ -68,29 +160,15 @@ class AnchorLoop(TrainingLoop):
         offset = torch.zeros_like(decoded.means[:, :2], requires_grad=True) if collects else None
         return draw([decoded], camera, offset, self.fit_low_pass), offset
 
-    @torch.no_grad()
-    def revive(
-        self,
-        truth: Tensor,
-        transparent: bool,
-        shows_nothing: Callable[[], bool],
-        opacities: Callable[[], Tensor],
-    ) -> None:
-        """Show half of a scene's Gaussians again where all have vanished, though the view's alpha has not.
-
-        A part of the loss of alpha's rescue (:data:`.econgs.losses.RESCUE`): while features are nearly zero,
-        all anchors hide together, and what is hidden gets no gradient.
+    def is_empty(self, decoded: ViewGaussians, truth: Tensor, transparent: bool) -> bool:
+        """Whether a view shows no Gaussian, though alpha is a target and not zero everywhere.
 
         Args:
+            decoded: Gaussians of the view.
             truth: (H, W, 4) of the view.
             transparent: whether any view of the scene is.
-            shows_nothing: whether every Gaussian of the scene is hidden in all training views.
-            opacities: (K,) mean outputs of the opacity network.
         """
-        wanted = self.options.alpha_weight and transparent and bool((truth[..., 3] > 0).any())
-        if wanted and shows_nothing():
-            self.decoders.network("opacity").show_half(opacities())
-            self.optimiser.restart("opacity")
+        return not len(decoded.slots) and self.asks_alpha(transparent) and bool((truth[..., 3] > 0).any())
 
     def begin_coding(self) -> None:
         """Start the context model in its first iteration."""
@@ -103,19 +181,10 @@ class AnchorLoop(TrainingLoop):
         if self.coding is not None and self.schedule.coded(self.iteration):
             self.coding.place(self.sets)
 
-    def settle_rent(self) -> bool:
-        due = super().settle_rent()
-        if due:
+    def begin_step(self) -> None:
+        if self.prune():
             self.place()
-        return due
-
-    def grow(self) -> None:
-        """One growth event."""
-        self.check_finite()
-        for anchors in self.sets:
-            places = self.decoded_offsets(anchors)
-            self.limited |= anchors.grow_and_prune(self.optimiser, self.rules, self.generator, places)
-        self.place()
+        self.begin_coding()
 
     def decoded_offsets(self, anchors: AnchorSet) -> Tensor | None:
         """(N, K, 3) offsets where they are decoded instead of stored."""
@@ -143,7 +212,7 @@ def hidden_units(anchors: int, per_unit: int, least: int) -> int:
     return min(max(anchors // per_unit, least), 50)
 
 
-def start_cloud(scene: SceneInput, options: Any, seed: int) -> PointCloud:
+def start_cloud(scene: SceneInput, options: CloudOptions, seed: int) -> PointCloud:
     """The points that anchors start from: the scene's, or random ones.
 
     Raises:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 from econgs_bench.methods.interface import Budget, Checkpoint, Model, Monitor, Refused, SceneInput
 from econgs_bench.methods.shared.model import SceneSet
 from econgs_bench.methods.shared.rendering import Rendering
-from econgs_bench.methods.shared.training import TrainingLoop, TrainingState, low_pass_of
+from econgs_bench.methods.shared.training import TrainingLoop
 from econgs_bench.methods.shared.units import in_units, units_of
 
 
@@ -25,7 +25,7 @@ class TrainerMethod:
     """
 
     name: ClassVar[str]
-    trainer: ClassVar[type[TrainingLoop]]
+    trainer: ClassVar[type[TrainingLoop[Any]]]
     model: ClassVar[type[SceneSet[Any]]]
     joint: ClassVar[bool] = False
 
@@ -50,26 +50,19 @@ class TrainerMethod:
             raise Refused(f"{self.name} trains each scene on its own, not {len(group)} together")
         subject: Any = group if self.joint else group[0]
         make: Any = self.trainer
-        trainer: TrainingLoop = make(subject, options, budget.iterations, seed, device)
-        trainer.units = units
+        trainer: TrainingLoop[Any] = make(subject, options, budget.iterations, seed, device)
         if resume is not None:
             trainer.resume(resume)
-        trainer.run(monitor)
+        trainer.run(monitor, units)
         return trainer.model_in_scene_units()
 
     def restore(self, checkpoint: Checkpoint, options: Any, device: str) -> Any:
         """The model of a checkpoint, of a finished fit or an earlier one."""
-        model = self.trainer.restored(TrainingState(checkpoint, device), options)
-        scalars = checkpoint.scalars
-        low_pass = low_pass_of(options, scalars.get("pixel", 0.0))
-        model.rendering = Rendering(scalars.get("units", 1.0), low_pass)
-        return model
+        return self.trainer.scene_model(checkpoint, options, device)
 
     def load(self, folder: Path, device: str) -> Any:
         """Read a saved model."""
-        model = self.model.load(folder, device)
-        model.rendering = Rendering.read(folder)
-        return model
+        return self.model.load(folder, device).drawn_by(Rendering.read(folder))
 
     def compose(self, models: Sequence[Model]) -> Any:
         """One model of the scenes of all; they are concatenated and sorted once when rendered."""
@@ -78,6 +71,4 @@ class TrainerMethod:
         renderings = {model.rendering for model in models if isinstance(model, SceneSet)}
         if len(renderings) > 1:
             raise Refused(f"{self.name} composes models of like scene units and low-pass filter only")
-        joined = self.model.join(models)
-        joined.rendering = renderings.pop()
-        return joined
+        return self.model.join(models).drawn_by(renderings.pop())

@@ -5,8 +5,9 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from pathlib import Path
-from typing import Any, ClassVar, Generic, Literal, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, Literal, Protocol, Self, TypeVar
 
 import torch
 from torch import Tensor
@@ -126,6 +127,12 @@ class SceneSet(NamedScenes[S]):
 
     method: ClassVar[str]
     rendering: Rendering = Rendering()
+
+    def drawn_by(self, rendering: Rendering) -> Self:
+        """The same scenes, drawn in another way."""
+        model = copy(self)
+        model.rendering = rendering
+        return model
 
     @abstractmethod
     def timings(self, camera: Camera, scenes: Sequence[str] | None = None) -> Mapping[str, float]:

@@ -61,8 +61,8 @@ class Proportional:
         """Iteration after which nothing grows."""
         return self.growth_stop
 
-    def settles_rent(self, iteration: int) -> bool:
-        """Whether primitives that add nothing go before this iteration (:mod:`.methods.shared.rent`).
+    def prunes_by_contribution(self, iteration: int) -> bool:
+        """Whether primitives that add least go before this iteration (:mod:`.methods.shared.pruning`).
 
         Once growth has ended, and half-way from there to the end.
         """
@@ -100,7 +100,7 @@ class AnchorSchedule(Proportional):
 
     @property
     def context_start(self) -> int:
-        """From here on steps and probabilities come from the context model, and the rate counts."""
+        """From here on steps and probabilities come from the context model, and bits count."""
         return max(1, round(self.context_share * self.iterations))
 
     @property
@@ -124,7 +124,7 @@ class AnchorSchedule(Proportional):
         return self.coding and iteration > self.noise_start
 
     def coded(self, iteration: int) -> bool:
-        """Whether steps and probabilities come from the context model, and the rate counts."""
+        """Whether steps and probabilities come from the context model, and bits count."""
         return self.coding and iteration > self.context_start
 
     @property

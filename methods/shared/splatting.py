@@ -55,7 +55,7 @@ class SplattingOptions:
         search=(0, 8_000),
     )
     start_scale: float = option(
-        0.6, "first scales of Gaussians, x what is published", minimum=0.01, maximum=10.0
+        0.6, "initial scale, relative to the published initialisation", minimum=0.01, maximum=10.0
     )
     decay: Decay = option("linear", "how learning rates with a last value go there from the first")
     alpha_weight: float = option(
@@ -63,12 +63,13 @@ class SplattingOptions:
         "weight of the mean absolute error of alpha, where training views are transparent anywhere",
         minimum=0.0,
     )
-    rent: float = option(
+    prune_loss_db: float = option(
         0.01,
-        "PSNR (dB) that may go with primitives that add least to training views, twice in a fit; 0 = none go",
+        "prune the least visible primitives, losing at most this much PSNR [dB], twice per fit; 0 = off",
         minimum=0.0,
         maximum=10.0,
         search=(0.0, 0.1),
+        formerly="rent",
     )
 
 
@@ -83,10 +84,10 @@ PUBLISHED: dict[str, OptionValue] = {
     "start_scale": 1.0,
     "decay": "exponential",
     "alpha_weight": 0.0,
-    "rent": 0.0,
+    "prune_loss_db": 0.0,
 }
 """Of 3DGS and what follows it."""
 QUICK: dict[str, OptionValue] = {"alpha_weight": 0.2}
 """In so short a schedule."""
-TUNABLE = ("alpha_weight", "start_spacing", "rent")
+TUNABLE = ("alpha_weight", "start_spacing", "prune_loss_db")
 """Common equipment that ``bench tune`` varies for every method that splats."""

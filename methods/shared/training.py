@@ -6,8 +6,8 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 import torch
@@ -16,13 +16,12 @@ from torch import Tensor
 
 from econgs_bench.datasets.camera import pixel_size
 from econgs_bench.datasets.scene import RGB, WHITE
-from econgs_bench.econgs.losses import view_losses
 from econgs_bench.econgs.optim import Adam
 from econgs_bench.econgs.splat import LINEAGE, LowPass, trusted_values
 from econgs_bench.methods.interface import Checkpoint, Diverged, Monitor, Refused, SceneInput
+from econgs_bench.methods.shared.densification import Densification, Drawn
 from econgs_bench.methods.shared.edits import Direction
 from econgs_bench.methods.shared.rendering import Rendering
-from econgs_bench.methods.shared.rent import Frame, Holding, Scene, worth_keeping
 from econgs_bench.methods.shared.splatting import SplattingOptions
 
 CHECK_EVERY = 100
@@ -89,25 +88,36 @@ class TrainingState:
             tensor.copy_(self.value(name, place))
 
 
-class TrainingLoop(ABC):
-    """A fit that takes one view at a time and goes on bit for bit from a checkpoint.
+D = TypeVar("D", bound=Drawn)
+
+
+class LossOptions(Protocol):
+    """Options that every trainer reads."""
+
+    @property
+    def alpha_weight(self) -> float:
+        """Weight of the error of alpha."""
+
+
+class TrainingLoop(ABC, Generic[D]):
+    """A fit that goes on bit for bit from a checkpoint. Its steps draw something, of type ``D``.
 
     Args:
-        scenes: the group, each with training views.
+        scenes: the group, each with training views; in units of the fit.
+        options: the method's options.
         iterations: the whole budget.
         seed: seed of the only generator.
         device: "cpu" or "cuda".
 
     Attributes:
         optimiser: holds the parameters.
-        options: the method's options.
-        schedule: phases of the fit.
+        densification: decides on the number of primitives.
         background: what training views are composited on; None: a random color each time.
-        iteration: steps done.
+        iteration: iterations done.
+        batch: iterations whose gradients a step of the optimiser sums.
         pending: views not yet drawn in this round.
-        limited: growth has met its limit.
         look_every: iterations between two reports of losses.
-        units: scene units / units of the fit (:mod:`.methods.shared.units`).
+        units: scene units / units of the fit.
         pixel: size of a pixel of the training views at their mean distance, in units of the fit.
 
     Raises:
@@ -115,38 +125,29 @@ class TrainingLoop(ABC):
     """
 
     optimiser: Adam
-    options: Any
-    schedule: Any
+    options: LossOptions
     background: RGB | None
-    units: float = 1.0
+    batch: int = 1
 
-    def __init__(self, scenes: Sequence[SceneInput], iterations: int, seed: int, device: str) -> None:
+    def __init__(
+        self, scenes: Sequence[SceneInput], options: Any, iterations: int, seed: int, device: str
+    ) -> None:
         for scene in scenes:
             if len(scene.train) == 0:
                 raise Refused(f"scene {scene.name!r} has no training views")
         self.labels = [SceneLabel.of(scene) for scene in scenes]
-        self.iterations, self.device = iterations, device
+        self.options, self.iterations, self.device = options, iterations, device
         self.generator = torch.Generator().manual_seed(seed)
+        self.densification: Densification[Any, D] = Densification(self)
         self.iteration = 0
         self.pending: list[Any] = []
-        self.limited = False
         self.look_every = LOOK_EVERY if device.startswith("cuda") else 1
+        self.units = 1.0
         self._sums: dict[str, Tensor | float] = {}
         self._unseen = 0
+        self._fresh = True  # no gradients wait for the rest of a batch
         # Rounded: models of the same cameras compose, whatever group they were in.
         self.pixel = float(f"{np.mean([pixel_size(scene.train.cameras) for scene in scenes]):.6g}")
-
-    @property
-    def low_pass(self) -> LowPass:
-        """How models of this fit are drawn."""
-        return low_pass_of(self.options, self.pixel)
-
-    @property
-    def fit_low_pass(self) -> LowPass:
-        """How Gaussians are drawn in this iteration: at centres of pixels until half of the budget."""
-        low_pass = self.low_pass
-        late = 2 * self.iteration > self.schedule.iterations
-        return low_pass if late else replace(low_pass, points=1)
 
     @property
     @abstractmethod
@@ -155,12 +156,30 @@ class TrainingLoop(ABC):
 
     @property
     def may_pause(self) -> bool:
-        """Whether a checkpoint can be taken after this iteration."""
-        return True
+        """Whether a checkpoint can be taken now: no gradients wait for the rest of a batch."""
+        return self._fresh
 
     @abstractmethod
-    def step(self) -> Mapping[str, float]:
-        """One step of the optimiser on one view, and what the schedule adds to it.
+    def draw(self) -> D:
+        """What this iteration draws, with its losses.
+
+        Raises:
+            Diverged: a parameter is not finite.
+        """
+
+    def learning_rates(self, scene: int = 0) -> dict[str, float]:
+        """Learning rates of this iteration that have changed.
+
+        Args:
+            scene: place of the drawn scene in the group.
+        """
+        return {}
+
+    def begin_step(self) -> None:
+        """Change what the schedule changes before this iteration."""
+
+    def step(self) -> dict[str, float]:
+        """One iteration.
 
         Returns:
             :meth:`report`: the loss ("loss") and, where it has several, its parts.
@@ -168,38 +187,75 @@ class TrainingLoop(ABC):
         Raises:
             Diverged: a loss or a parameter is not finite.
         """
+        self.iteration += 1
+        self.begin_step()
+        drawn = self.draw()
+        losses = {**drawn.losses, **self.densification.before_backward()}
+        report = self.report(losses, drawn.figures)
+        loss: Any = sum(losses.values(), torch.zeros((), device=self.device))
+        self.descend(drawn, loss)
+        self.densification.after_step(drawn)
+        if self.iteration % CHECK_EVERY == 0:
+            self.check_finite()
+        return report
+
+    def descend(self, drawn: D, loss: Tensor) -> None:
+        """Take the gradients of a loss, and step where they complete a batch."""
+        if self._fresh:
+            self.optimiser.zero_grad()
+        if loss.requires_grad:
+            (loss / self.batch).backward()  # type: ignore[no-untyped-call]
+            self.densification.after_backward(drawn)
+            self.optimiser.learning_rates.update(self.learning_rates(drawn.scene))
+        self._fresh = self.completes_batch()
+        if self._fresh:
+            self.optimiser.step()
+
+    def completes_batch(self) -> bool:
+        """Whether the optimiser steps in this iteration."""
+        return True
 
     @staticmethod
     @abstractmethod
     def restored(state: TrainingState, options: Any) -> Any:
-        """The model of a state: as it will be stored, once the fit is finished."""
+        """The model of a state, in units of the fit: as it will be stored, once the fit is finished."""
 
     def model(self) -> Any:
         """The present state as a model of its own, in the units of the fit."""
         model = self.restored(TrainingState(self.checkpoint(), self.device), self.options)
-        model.rendering = Rendering(low_pass=self.low_pass)
-        return model
+        return model.drawn_by(Rendering(low_pass=low_pass_of(self.options, self.pixel)))
+
+    @classmethod
+    def scene_model(cls, checkpoint: Checkpoint, options: Any, device: str) -> Any:
+        """The model of a checkpoint, for cameras of the scene."""
+        scalars = checkpoint.scalars
+        low_pass = low_pass_of(options, scalars.get("pixel", 0.0))
+        model = cls.restored(TrainingState(checkpoint, device), options)
+        return model.drawn_by(Rendering(scalars.get("units", 1.0), low_pass))
 
     def model_in_scene_units(self) -> Any:
         """The present state as a model of its own, for cameras of the scene."""
-        model = self.model()
-        model.rendering = replace(model.rendering, units=self.units)
-        return model
+        return self.scene_model(self.checkpoint(), self.options, self.device)
 
     @abstractmethod
     def views(self) -> list[Any]:
         """Every view in a new random order, the first one last."""
 
-    @abstractmethod
     def stage(self) -> str:
         """Name of the stage that the next iteration belongs to, for people."""
+        return self.densification.stage()
 
-    def run(self, monitor: Monitor) -> None:
+    def run(self, monitor: Monitor, units: float = 1.0) -> None:
         """Train to the end of the budget.
+
+        Args:
+            monitor: takes reports at every iteration.
+            units: scene units / units of the fit (:mod:`.methods.shared.units`).
 
         Raises:
             Diverged: a loss or a parameter is not finite.
         """
+        self.units = units
         with trusted_values() if self.device.startswith("cuda") else nullcontext():
             self._run(monitor)
         self.check_finite()
@@ -250,35 +306,11 @@ class TrainingLoop(ABC):
                 if not math.isfinite(float(values.sum())):
                     raise Diverged(f"{name} hold NaN or infinite values at iteration {self.iteration}")
 
-    def settle_rent(self) -> bool:
-        """Primitives that the pictures hardly show go, where the schedule says so; whether it does.
-
-        Of methods with the option ``rent``.
-        """
-        due = bool(self.options.rent) and self.schedule.settles_rent(self.iteration)
-        for one in self.holdings() if due else ():
-            kept = worth_keeping(one.count, one.scenes, self.options.rent, self.low_pass, self.device)
-            one.keep(kept)
-        return due
-
-    def holdings(self) -> Iterable[Holding]:
-        """The primitives that may go, each asked for after those before it went: none here."""
-        return ()
-
-    def rent_scene(self, source: SceneInput, images: Tensor, transparent: bool, frame: Frame) -> Scene:
-        """A scene whose training views say what a primitive is worth; arguments as they are named there."""
-        return Scene(source.train, images, frame, asks_alpha=self.asks_alpha(transparent))
-
     def next_view(self) -> Any:
         """Views come in random order, none twice before all were seen."""
         if not self.pending:
             self.pending = self.views()
         return self.pending.pop()
-
-    def chosen_background(self, scene: SceneInput) -> RGB | None:
-        """The background that the option of that name chooses."""
-        choice = self.options.background
-        return scene.train.background if choice == "scene" else _BACKGROUNDS.get(choice)
 
     def asks_alpha(self, transparent: bool) -> bool:
         """Whether alpha is a target: opaque pictures have their background in them.
@@ -288,28 +320,9 @@ class TrainingLoop(ABC):
         """
         return transparent and self.options.alpha_weight > 0.0
 
-    def background_color(self) -> RGB | Tensor:
-        """The background of this iteration."""
-        return torch.rand(3, generator=self.generator) if self.background is None else self.background
-
-    def view_losses(
-        self, colors: Tensor, alpha: Tensor, truth: Tensor, back: RGB | Tensor, transparent: bool = False
-    ) -> dict[str, Tensor]:
-        """Parts of the loss of a drawn view by name: "image", and "alpha" where alpha is a target.
-
-        Args:
-            colors: (H, W, 3) premultiplied.
-            alpha: (H, W).
-            truth: (H, W, 4) of the view.
-            back: what both are composited on.
-            transparent: as for :meth:`asks_alpha`.
-        """
-        asked = self.asks_alpha(transparent)
-        weight = self.options.alpha_weight if asked else 0.0
-        image, distance = view_losses(
-            colors, alpha, truth, back, ssim_weight=self.options.ssim_weight, alpha_weight=weight
-        )
-        return {"image": image, "alpha": distance} if asked else {"image": image}
+    def color_of(self, background: RGB | None) -> RGB | Tensor:
+        """The color that this iteration composites on; None: a random one."""
+        return torch.rand(3, generator=self.generator) if background is None else background
 
     def shuffled(self, count: int) -> list[int]:
         order: list[int] = torch.randperm(count, generator=self.generator).tolist()
@@ -319,9 +332,10 @@ class TrainingLoop(ABC):
         """All that :meth:`resume` needs to go on as if nothing had happened, and :meth:`restored`."""
         arrays = {f"optimiser/{name}": values.clone() for name, values in self.optimiser.state().items()}
         arrays["generator"] = self.generator.get_state()
+        arrays |= {name: values.clone() for name, values in self.densification.state().items()}
         scalars = {
             "pending": list(self.pending),
-            "limited": self.limited,
+            "limited": self.densification.limited,
             "iterations": self.iterations,
             "scenes": [[label.name, label.background, label.light] for label in self.labels],
             "units": self.units,
@@ -331,10 +345,12 @@ class TrainingLoop(ABC):
 
     def resume(self, checkpoint: Checkpoint) -> None:
         """Continue from a checkpoint of the same fit."""
-        self.optimiser.load_state(under("optimiser/", self.arrays(checkpoint)))
+        arrays = self.arrays(checkpoint)
+        self.optimiser.load_state(under("optimiser/", arrays))
         self.generator.set_state(checkpoint.arrays["generator"].cpu())
         self.pending = list(checkpoint.scalars["pending"])
-        self.limited = bool(checkpoint.scalars["limited"])
+        self.densification.limited = bool(checkpoint.scalars["limited"])
+        self.densification.load_state(arrays)
         self.iteration = checkpoint.iteration
 
     def arrays(self, checkpoint: Checkpoint) -> dict[str, Tensor]:
@@ -342,11 +358,17 @@ class TrainingLoop(ABC):
         return {name: values.to(self.device) for name, values in checkpoint.arrays.items()}
 
 
-def low_pass_of(options: Any, pixel: float) -> LowPass:
+def chosen_background(choice: str, scene: SceneInput) -> RGB | None:
+    """The background that a value of the option ``background`` chooses; None: a random one each time."""
+    return scene.train.background if choice == "scene" else _BACKGROUNDS.get(choice)
+
+
+def low_pass_of(options: object, pixel: float) -> LowPass:
     """The filters that options choose; that of the lineage, where they have none.
 
     Args:
         options: of a method.
+        units: scene units / units of the fit.
         pixel: size of a pixel of the training views at their mean distance, in units of the fit.
     """
     if not isinstance(options, SplattingOptions):

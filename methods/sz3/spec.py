@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from econgs_bench.methods.interface import SHARED_SOURCE, Configuration, MethodSpec, RateKnob, option
+from econgs_bench.methods.interface import Configuration, MethodSpec, RateKnob, built_in, option
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ SPEC = MethodSpec(
     ),
     version="1",
     implementation="econgs_bench.methods.volume.method:Sz3Method",
-    source=("datasets", *SHARED_SOURCE),
+    source=("econgs_bench.datasets", *built_in("volume", "sz3")),
     joint=True,
     composable=True,
     point_sampled=True,

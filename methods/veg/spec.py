@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 from econgs_bench.methods.interface import (
-    SHARED_SOURCE,
     Configuration,
     MethodSpec,
     OptionValue,
     RateKnob,
+    built_in,
     option,
 )
 from econgs_bench.methods.shared import splatting
@@ -124,7 +124,7 @@ SPEC = MethodSpec(
     ),
     version="3",
     implementation="econgs_bench.methods.veg.method:Veg",
-    source=SHARED_SOURCE,
+    source=built_in("veg", "ivr_gs", "formats", "gaussian_splatting"),
     joint=True,
     composable=True,
     edits=frozenset({"palette", "opacity", "light", "shading", "transfer"}),

@@ -5,7 +5,7 @@ from typing import Literal, get_args
 
 from econgs_bench.methods.gaussian_splatting.spec import SPEC as PLAIN
 from econgs_bench.methods.gaussian_splatting.spec import GaussianOptions
-from econgs_bench.methods.interface import Configuration, RateKnob, option
+from econgs_bench.methods.interface import Configuration, RateKnob, built_in, option
 from econgs_bench.methods.shared import splatting
 
 Size = Literal[16, 64, 256, 1024]
@@ -38,6 +38,7 @@ SPEC = replace(
     ),
     version="7",
     implementation="econgs_bench.methods.vq_3dgs.method:VectorQuantised",
+    source=built_in("vq_3dgs", "formats", "gaussian_splatting"),
     options=VqOptions,
     rate_knobs=(RateKnob("codebook_size", SIZES, refit=True),),
     configurations={

@@ -8,11 +8,10 @@ import torch
 from torch import Tensor
 
 from econgs_bench.datasets.camera import Camera
-from econgs_bench.datasets.scene import RGB
+from econgs_bench.econgs.anchors.gaussians import Gaussians
 from econgs_bench.econgs.codebooks import Codebook, rounded
 from econgs_bench.econgs.context.positions import PositionGrid
 from econgs_bench.econgs.optim import Adam
-from econgs_bench.econgs.splat.rasterise import rasterise
 from econgs_bench.econgs.splat.sh import spherical_harmonics
 from econgs_bench.methods.gaussian_splatting.model import SceneGaussians
 from econgs_bench.methods.gaussian_splatting.schedule import Schedule
@@ -57,39 +56,27 @@ class VqTrainer(Trainer):
     def stage(self) -> str:
         return "codebooks" if self.iteration >= self.schedule.iterations else super().stage()
 
-    def step(self) -> dict[str, float]:
-        if self.iteration >= self.schedule.iterations and self.coded is None:
+    def begin_step(self) -> None:
+        if self.iteration > self.schedule.iterations and self.coded is None:
             self.check_finite()
             self._place(quantised(self._plain(), self.options, self.seed))
-        return super().step()
+        super().begin_step()
 
-    def _losses(
-        self, camera: Camera, truth: Tensor, back: RGB | Tensor
-    ) -> tuple[dict[str, Tensor], Tensor | None, Tensor]:
+    def in_view(self, camera: Camera) -> Gaussians:
         if self.coded is None:
-            return super()._losses(camera, truth, back)
+            return super().in_view(camera)
         position = torch.as_tensor(camera.position, dtype=torch.float32, device=self.device)
         now = gaussians(self._now(self.coded))
-        splats = rasterise(
-            now.means,
-            now.quats,
-            now.log_scales.exp(),
-            now.logits.sigmoid(),
-            spherical_harmonics(now.sh_degree, now.means, position, now.sh_dc, now.sh_rest),
-            camera,
-            low_pass=self.fit_low_pass,
-        )
-        losses = self.view_losses(splats.features, splats.alpha, truth, back, self.transparent)
-        return losses, None, splats.radii
+        scales, opacities = now.log_scales.exp(), now.logits.sigmoid()
+        colors = spherical_harmonics(now.sh_degree, now.means, position, now.sh_dc, now.sh_rest)
+        return Gaussians(now.means, now.quats, scales, opacities, colors)
 
-    def _set_rates(self) -> None:
+    def learning_rates(self, scene: int = 0) -> dict[str, float]:
         if self.coded is None:
-            super()._set_rates()
-            return
+            return super().learning_rates(scene)
         tuning = max(1, self.iterations - self.schedule.iterations)
         done = (self.iteration - self.schedule.iterations) / tuning
-        for name, first in self._word_rates(self.coded).items():
-            self.optimiser.rates[name] = first * _LAST**done
+        return {name: first * _LAST**done for name, first in self._word_learning_rates(self.coded).items()}
 
     # ------------------------------------------------------------------ codebooks
 
@@ -105,9 +92,9 @@ class VqTrainer(Trainer):
             for group in GROUPS
             for stage, book in enumerate(_books(coded, group))
         }
-        self.optimiser = Adam(words, self._word_rates(coded))
+        self.optimiser = Adam(words, self._word_learning_rates(coded))
 
-    def _word_rates(self, coded: QuantisedScene) -> dict[str, float]:
+    def _word_learning_rates(self, coded: QuantisedScene) -> dict[str, float]:
         plain = LEARNING_RATES | {"sh_rest": self.options.sh_rest_lr}
         of_group = {"color": "sh_dc", "scale": "log_scales", "rotation": "quats"}
         share = self.options.tuning_lr

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from econgs_bench.methods.interface import Configuration, RateKnob, option
+from econgs_bench.methods.interface import Configuration, RateKnob, built_in, option
 from econgs_bench.methods.sz3.spec import SPEC as SZ3
 from econgs_bench.methods.sz3.spec import VolumeOptions
 
@@ -31,6 +31,7 @@ SPEC = replace(
         "Computer Graphics 20(12), 2014"
     ),
     implementation="econgs_bench.methods.volume.method:ZfpMethod",
+    source=("econgs_bench.datasets", *built_in("volume", "zfp", "sz3")),
     options=ZfpOptions,
     rate_knobs=(RateKnob("error bound", (8.0, 1.0, 0.125, 0.015625, 1e-4), refit=False),),
     configurations={"fair": Configuration(), "paper": Configuration({"mode": "rate"})},

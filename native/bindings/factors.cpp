@@ -1,4 +1,4 @@
-// Bindings of scenes of factors; econgs/factors is their only caller.
+// Bindings of scenes of factors; methods/ccnerf is their only caller.
 #include "factors.h"
 
 #include <cmath>

@@ -1,4 +1,4 @@
-// Bindings of sparse voxel grids; econgs/voxels is their only caller.
+// Bindings of sparse voxel grids; methods/plenoxels is their only caller.
 #include "arrays.h"
 
 #include <nanobind/stl/unique_ptr.h>

@@ -1,4 +1,4 @@
-// What the kernels of sparse voxel grids (econgs/voxels) and the code that drives them share. No std:: here.
+// What the kernels of sparse voxel grids (methods/plenoxels) and the code that drives them share. No std:: here.
 #pragma once
 
 #include <stddef.h>

@@ -167,10 +167,10 @@ def trained() -> tuple[ContextModel, torch.Tensor, Attributes]:
     optimiser = Adam({"grid": model.grid.table, "head": model.head}, {"grid": 5e-3, "head": 5e-3})
     for step in range(400):
         model.coder_exact = step >= 300
-        optimiser.rates = dict.fromkeys(optimiser.rates, 5e-3 * 0.01 ** (step / 400))
+        optimiser.learning_rates = dict.fromkeys(optimiser.learning_rates, 5e-3 * 0.01 ** (step / 400))
         rows = torch.randint(3000, (1000,), generator=random)
         context = model(lookup, rows, draw_sample(1000, random, 0.3))
-        rate = model.rate(model.perturb(values.of(rows), context, noise), context, anchors=3000)
+        rate = model.mean_bits(model.perturb(values.of(rows), context, noise), context, anchors=3000)
         # The steps have no distortion to answer for here: they stay.
         model.refinements.requires_grad_(False)
         optimiser.zero_grad()
@@ -266,7 +266,7 @@ def test_no_anchors_in_view() -> None:
     none = torch.empty(0, dtype=torch.int64)
     context = model(model.lookup(codes, EXTENT), none, draw_sample(0, torch.Generator()))
     noisy = model.perturb(values.of(none), context, Noise(100, generator=torch.Generator()))
-    rate = model.rate(noisy, context, anchors=20)
+    rate = model.mean_bits(noisy, context, anchors=20)
     (rate.attributes + rate.grid).backward()
     assert rate.attributes.item() == 0
     assert rate.grid.item() > 0

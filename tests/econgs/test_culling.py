@@ -10,7 +10,9 @@ import pytest
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.econgs.context.container import Kind, Section, read_container, write_container
 from econgs_bench.econgs.context.culling import kept_offsets
-from econgs_bench.econgs.context.stream import GroupAttributes, decode_group, encode_group, round_group
+from econgs_bench.econgs.context.group import GroupAttributes
+from econgs_bench.econgs.context.quantiser import round_group
+from econgs_bench.econgs.context.stream import decode_group, encode_group
 from tests.econgs.streams import arrays_of, group, with_culling, with_masks
 
 

@@ -13,6 +13,7 @@ from scipy import stats
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.econgs.context.coder import Decoder, Encoder
 from econgs_bench.econgs.context.container import Kind, Section, read_container, write_container
+from econgs_bench.econgs.context.group import CodedContext, GroupAttributes, SceneAttributes
 from econgs_bench.econgs.context.integer import ACTIVATION_BITS, HIDDEN_LIMIT, OUTPUT_LIMIT, MixedCoding
 from econgs_bench.econgs.context.mixture import Mixture, first_weight, read_mixture, write_mixture
 from econgs_bench.econgs.context.model import (
@@ -23,14 +24,8 @@ from econgs_bench.econgs.context.model import (
     mixture_bits,
 )
 from econgs_bench.econgs.context.positions import PositionGrid
-from econgs_bench.econgs.context.stream import (
-    CodedContext,
-    GroupAttributes,
-    SceneAttributes,
-    decode_group,
-    encode_group,
-    round_group,
-)
+from econgs_bench.econgs.context.quantiser import round_group
+from econgs_bench.econgs.context.stream import decode_group, encode_group
 from econgs_bench.econgs.context.tables import SPREADS, spread_table, step_log_table, step_table
 from tests.econgs.streams import CONFIG, GRID, arrays_of, coded_context, group, with_culling, with_masks
 

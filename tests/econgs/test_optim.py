@@ -52,7 +52,7 @@ def run(dtype: torch.dtype, device: str, steps: int) -> tuple[Adam, dict[str, to
                 continue
             ours[name].grad = gradient.clone()
             exact[name].grad = gradient.double().cpu()
-        ours.rates["means"] = theirs.param_groups[0]["lr"] = RATES["means"] * 0.9**step
+        ours.learning_rates["means"] = theirs.param_groups[0]["lr"] = RATES["means"] * 0.9**step
         ours.step()
         theirs.step()
     return ours, {name: one.detach() for name, one in exact.items()}
@@ -123,7 +123,7 @@ def test_a_saved_state_continues_as_if_nothing_had_happened() -> None:
     for one in (ours, other):
         for name, gradient in gradients(7, {name: ours[name].detach() for name in SHAPES}).items():
             one[name].grad = gradient
-        one.rates = dict(RATES)
+        one.learning_rates = dict(RATES)
         one.step()
     for name in SHAPES:
         assert torch.equal(ours[name], other[name])

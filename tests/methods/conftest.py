@@ -13,6 +13,8 @@ from econgs_bench.methods.contract.scene import look_at, tiny_gaussians, tiny_sc
 from econgs_bench.methods.interface import Budget
 from econgs_bench.methods.options import resolve
 from econgs_bench.methods.registry import Registry, load_method
+from tests.econgs.conftest import isa as isa
+from tests.econgs.conftest import restored as restored
 
 
 class Fits:

@@ -42,7 +42,7 @@ def model(rendering=None, count=60, seed=2):
             log_scales=scene.log_scales - math.log(rendering.units),
         )
     made = GaussianModel([scene])
-    made.rendering = rendering
+    made = made.drawn_by(rendering)
     return made
 
 

@@ -11,11 +11,11 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 from econgs_bench.datasets.errors import DataError
-from econgs_bench.econgs.factors.rays import Region
 from econgs_bench.econgs.rays import camera_rays
 from econgs_bench.econgs.splat.sh import spherical_harmonics
 from econgs_bench.methods.ccnerf.field import SCALE, SHIFT, Factors, trace
 from econgs_bench.methods.ccnerf.model import CpModel
+from econgs_bench.methods.ccnerf.rays import Region
 from econgs_bench.methods.ccnerf.schedule import Schedule
 from econgs_bench.methods.ccnerf.training import Trainer
 from econgs_bench.methods.contract.scene import look_at
@@ -245,9 +245,9 @@ def test_the_published_schedule():
     rows = [schedule.rows(one) for one in (0, 2_000, 3_000, 4_000, 5_500, 7_000, 30_000)]
     assert rows == [128, 152, 180, 213, 253, 300, 300]
     assert [schedule.masks(one) for one in (1_999, 2_000, 3_999, 4_000)] == [0, 1, 1, 2]
-    assert schedule.rate(2_001) == pytest.approx(1.0, abs=1e-3)
-    assert schedule.rate(30_000) == pytest.approx(0.1 ** (23 / 30))
-    assert Schedule(300, 8, 16, through=True, always=True).rate(300) == pytest.approx(0.1)
+    assert schedule.learning_rate_share(2_001) == pytest.approx(1.0, abs=1e-3)
+    assert schedule.learning_rate_share(30_000) == pytest.approx(0.1 ** (23 / 30))
+    assert Schedule(300, 8, 16, through=True, always=True).learning_rate_share(300) == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize(

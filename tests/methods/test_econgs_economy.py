@@ -1,4 +1,4 @@
-"""No more than a scene needs: rent of anchors, rate control, precision of decoders."""
+"""No more than a scene needs: pruning by contribution, rate control, precision of decoders."""
 
 import math
 from dataclasses import replace
@@ -20,7 +20,7 @@ from econgs_bench.methods.econgs.start import starting_points
 from econgs_bench.methods.econgs.training import Trainer, growth_threshold
 from econgs_bench.methods.interface import Refused
 from econgs_bench.methods.options import resolve
-from econgs_bench.methods.shared.rent import some_views, who_stays
+from econgs_bench.methods.shared.pruning import some_views, survivors
 from econgs_bench.methods.shared.start import first_of_cells
 from tests.methods.conftest import Fits
 
@@ -49,14 +49,14 @@ def test_the_lightest_go_as_far_as_the_allowance_reaches(allowance, gone):
     def measure(kept):
         return 1.0 + costs[~kept].sum()[None]
 
-    kept = who_stays(weights, allowance, measure)
+    kept = survivors(weights, allowance, measure)
     assert set((~kept).nonzero()[:, 0].tolist()) == gone
 
 
 def test_one_anchor_always_stays():
-    kept = who_stays(torch.zeros(7), 10.0, lambda kept: torch.ones(1))
+    kept = survivors(torch.zeros(7), 10.0, lambda kept: torch.ones(1))
     assert kept.sum() == 1
-    assert who_stays(torch.zeros(1), 10.0, lambda kept: torch.ones(1)).all()
+    assert survivors(torch.zeros(1), 10.0, lambda kept: torch.ones(1)).all()
 
 
 def test_every_error_has_its_own_allowance():
@@ -66,7 +66,7 @@ def test_every_error_has_its_own_allowance():
     def measure(kept):
         return torch.stack([7.0 + color[~kept].sum(), 1.0 + alpha[~kept].sum()])
 
-    assert who_stays(weights, 10 * math.log10(1.5), measure).tolist() == [False, False, True, True]
+    assert survivors(weights, 10 * math.log10(1.5), measure).tolist() == [False, False, True, True]
 
 
 def test_views_are_spread():
@@ -75,10 +75,10 @@ def test_views_are_spread():
     assert some_views(1, 5) == [0]
 
 
-def test_rent_is_settled_twice_after_growth():
+def test_pruning_by_contribution_comes_twice_after_growth():
     for share, context in ((0.5, True), (0.75, True), (0.5, False)):
         schedule = Schedule(2_000, context, share)
-        when = [i for i in range(1, 2_001) if schedule.settles_rent(i)]
+        when = [i for i in range(1, 2_001) if schedule.prunes_by_contribution(i)]
         assert len(when) == 2
         assert not any(schedule.grows(i) for i in range(when[0], 2_001))
 
@@ -92,9 +92,9 @@ def test_anchors_that_add_nothing_go_and_the_picture_stays(tiny, scene):
     """Points far from the object are never seen to add anything."""
     far = np.concatenate([scene.cloud.points, np.float32([[0.0, 0.0, z] for z in np.linspace(3.0, 4.0, 40)])])
     wide = tiny.with_cloud(scene, far)
-    with_rent, without = trained(wide, 160, rent=0.01), trained(wide, 160, rent=0.0)
-    assert with_rent.count < without.count
-    psnr = [one._psnr(one.model()) for one in (with_rent, without)]
+    pruned, without = trained(wide, 160, prune_loss_db=0.01), trained(wide, 160, prune_loss_db=0.0)
+    assert pruned.count < without.count
+    psnr = [one._psnr(one.model()) for one in (pruned, without)]
     assert psnr[0] > psnr[1] - 0.5
 
 

@@ -34,7 +34,7 @@ def test_decoders_of_opacity_and_covariance_learn_at_the_stated_rates(scene):
     def rates(which, iterations):
         trainer = Trainer([scene], options(decoder_rates=which, decay="exponential"), iterations, 0, "cpu")
         trainer.step()
-        return trainer.optimiser.rates
+        return trainer.optimiser.learning_rates
 
     ours, stated = (rates(which, 10_000) for which in ("lineage", "stated"))
     assert {name for name in ours if ours[name] != stated[name]} == {"opacity", "covariance"}
@@ -47,7 +47,7 @@ def test_the_covariance_decoder_ends_at_the_share_that_is_asked_for(scene):
     def last(**changed):
         trainer = Trainer([scene], options(**changed), 1, 0, "cpu")
         trainer.step()
-        return trainer.optimiser.rates["covariance"]
+        return trainer.optimiser.learning_rates["covariance"]
 
     assert last(last_lr_share=1.0) == pytest.approx(4e-3)
     assert last() == pytest.approx(4e-5)

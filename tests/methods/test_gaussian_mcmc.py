@@ -123,7 +123,7 @@ def test_the_dead_move_onto_the_living_and_the_picture_stays(scene):
     before = {name: trainer.optimiser[name].detach().clone() for name in trainer.names}
     picture = trainer.model().render(scene.train.cameras[0])[1]
     with torch.no_grad():
-        trainer._relocate()
+        trainer.densification.relocate()
     after = trainer.optimiser
     assert trainer.count == len(before["means"])
     alive = torch.ones(trainer.count, dtype=torch.bool).index_fill_(0, dead, False)
@@ -150,7 +150,7 @@ def test_the_dead_move_onto_the_living_and_the_picture_stays(scene):
 
 def test_growth_reaches_the_cap_in_twentieths_and_stays(tiny, scene):
     recorder = tiny.Recorder()
-    model = fit(scene, recorder, 300, cap=150, rent=0.0)
+    model = fit(scene, recorder, 300, cap=150, prune_loss_db=0.0)
     assert model.primitives() == 150
     counts = sorted(set(recorder.counts))
     assert counts[:3] == [96, 100, 105]
@@ -179,7 +179,14 @@ def test_nothing_drawn_and_all_dead_change_nothing(tiny, scene):
     """A start that no view sees, all of it dead: no source to move to, and no error."""
     far = tiny.with_cloud(scene, [[0.0, 0.0, 100.0], [0.1, 0.0, 100.0]])
     model = fit(
-        far, tiny.Recorder(), 30, cap=2, start_opacity=0.005, opacity_weight=0.0, noise_rate=0.0, rent=0.0
+        far,
+        tiny.Recorder(),
+        30,
+        cap=2,
+        start_opacity=0.005,
+        opacity_weight=0.0,
+        noise_rate=0.0,
+        prune_loss_db=0.0,
     )
     assert model.primitives() == 2
     assert not model.render(scene.train.cameras[0])[1].any()

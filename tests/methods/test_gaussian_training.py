@@ -59,11 +59,11 @@ def test_the_first_opacity_is_an_option(scene, name):
 @pytest.mark.parametrize(("name", "growing"), [("3dgs", 20), ("3dgs-mcmc", 33)])
 def test_rates_of_all_but_positions_fall_once_nothing_grows(scene, name, growing):
     fits = Fits(name)
-    trainer = fits.method.trainer(scene, fits.options(last_lr_share=0.2, rent=0.0), 40, 0, "cpu")
-    first = dict(trainer.optimiser.rates)
+    trainer = fits.method.trainer(scene, fits.options(last_lr_share=0.2, prune_loss_db=0.0), 40, 0, "cpu")
+    first = dict(trainer.optimiser.learning_rates)
     for iteration in range(1, 41):
         trainer.step()
-        factors = {n: trainer.optimiser.rates[n] / first[n] for n in first if n != "means"}
+        factors = {n: trainer.optimiser.learning_rates[n] / first[n] for n in first if n != "means"}
         share = max(0, iteration - growing) / (40 - growing)
         assert factors == pytest.approx(dict.fromkeys(factors, 1.0 - 0.8 * share))
 
@@ -81,7 +81,7 @@ def test_no_visible_gaussian_leaves_the_background_and_learns_nothing(tiny, scen
     """graphdeco-inria/gaussian-splatting#482 ended in an autograd error here."""
     points = [[0.0, 0.0, 100.0], [0.1, 0.0, 100.0], [0.0, 0.1, 100.0]]
     far = tiny.with_cloud(scene, points)
-    model = fit(far, tiny.Recorder(), 20, opacity_reset=False, rent=0.0, start_spacing=0.0)
+    model = fit(far, tiny.Recorder(), 20, opacity_reset=False, prune_loss_db=0.0, start_spacing=0.0)
     assert model.primitives() == 3
     rgb, alpha = model.render(scene.train.cameras[0])
     assert not alpha.any()

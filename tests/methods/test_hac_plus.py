@@ -35,6 +35,7 @@ def coded_trainer(scene, **changed):
     """At the first iteration whose rate counts."""
     trainer = Trainer(scene, fit.options(rate_weight=1.0, **changed), 100, 0, "cpu")
     trainer.iteration = trainer.schedule.context_start + 1
+    trainer.begin_coding()
     return trainer
 
 

@@ -88,7 +88,7 @@ def test_values_are_activated_once(tiny, scene, tmp_path):
     model = trainer.model()
     with torch.no_grad():
         shown = IvrModel([trainer._shaded()], None)
-        shown.rendering = model.rendering
+        shown = shown.drawn_by(model.rendering)
         learned = shown.render(camera)[0]
     many, _ = saved(model, tmp_path / "many", 65536.0)
     torch.testing.assert_close(many.render(camera)[0], learned, atol=0.02, rtol=0)
@@ -111,12 +111,12 @@ def test_parts_of_the_loss_carry_their_weights(tiny, scene):
         values = []
         for weight in (1.0, 2.0):  # a smaller weight of alpha grows while the scene vanishes
             trainer.options = replace(trainer.options, **{f"{option}_weight": weight})
-            found, _, _ = trainer._losses(camera, trainer.images[0], back)
+            found = trainer.drawn(camera, trainer.images[0], back).losses
             values.append(float(found[name].detach()))
         assert values[1] == pytest.approx(2.0 * values[0])
         assert values[1] > 0.0
     trainer.options = replace(trainer.options, alpha_weight=0.0, mask_weight=0.0, normal_weight=0.0)
-    found, _, _ = trainer._losses(camera, trainer.images[0], back)
+    found = trainer.drawn(camera, trainer.images[0], back).losses
     assert set(found) == {"image", "offset colors", "smoothness", "opacity"}
 
 
@@ -127,18 +127,20 @@ def test_parts_of_the_loss_carry_their_weights(tiny, scene):
 def test_pruning_by_contribution_minds_alpha_where_a_loss_does(scene, weights, asks):
     alpha, mask = weights
     trainer = IvrTrainer(scene, fit.options(alpha_weight=alpha, mask_weight=mask), 40, 0, "cpu")
-    (holding,) = trainer.holdings()
-    assert holding.scenes[0].asks_alpha is asks
+    (prunable,) = trainer.prunable()
+    assert prunable.scenes[0].asks_alpha is asks
 
 
 def test_rates_fall_in_the_second_stage_once_nothing_grows(scene):
-    trainer = IvrTrainer(scene, fit.options(last_lr_share=0.1, decay="linear", rent=0.0), 400, 0, "cpu")
+    trainer = IvrTrainer(
+        scene, fit.options(last_lr_share=0.1, decay="linear", prune_loss_db=0.0), 400, 0, "cpu"
+    )
     assert [trainer.schedule.settled(i, 0.1) for i in (1, 300, 320)] == [1.0, 1.0, 1.0]
     trainer.iteration = 300
     while trainer.iteration < 360:
         trainer.step()
-    assert trainer.optimiser.rates["diffuse"] == pytest.approx(0.55 * trainer.options.shading_lr)
-    assert trainer.optimiser.rates["logits"] == pytest.approx(0.55 * trainer.options.opacity_lr)
+    assert trainer.optimiser.learning_rates["diffuse"] == pytest.approx(0.55 * trainer.options.shading_lr)
+    assert trainer.optimiser.learning_rates["logits"] == pytest.approx(0.55 * trainer.options.opacity_lr)
     still = IvrSchedule(400, grows_shaded=False, decay="linear")
     assert still.settled(350, 0.1) == pytest.approx(0.55)
 
@@ -277,9 +279,10 @@ def test_what_cannot_be_seen_goes(scene):
     with torch.no_grad():
         trainer.optimiser["logits"][:5] = -6.0
     before = trainer.count
-    trainer._prune()
+    trainer.densification.prune_invisible()
     assert trainer.count == before - 5
-    assert len(trainer.normal_gradients) == len(trainer.statistics.visits) == trainer.count
+    growth = trainer.densification
+    assert len(growth.normal_gradients) == len(growth.statistics.visits) == trainer.count
 
 
 def test_normals_alone_can_grow_gaussians(scene):

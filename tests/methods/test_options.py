@@ -10,7 +10,7 @@ from econgs_bench.methods import reference
 from econgs_bench.methods.econgs.spec import SPEC as ECONGS
 from econgs_bench.methods.gaussian_splatting.spec import SPEC, GaussianOptions
 from econgs_bench.methods.interface import Option
-from econgs_bench.methods.options import check, declared, parse_assignments, resolve
+from econgs_bench.methods.options import check, current, declared, parse_assignments, resolve
 from econgs_bench.methods.registry import Registry
 from econgs_bench.methods.vq_3dgs.spec import VqOptions
 
@@ -23,6 +23,13 @@ def test_preset_overlays_defaults_and_the_user_overlays_the_preset():
     assert (own.options.sh_rest_lr, own.iterations) == (0.002, 7_000)
     assert own.variant == "iterations=7000,sh_rest_lr=0.002", "what equals the preset is no variant"
     assert set(own.values) == set(declared(GaussianOptions))
+
+
+def test_a_former_name_of_an_option_sets_it():
+    now, then = (resolve(SPEC, "quick", {name: "0.05"}) for name in ("prune_loss_db", "rent"))
+    assert now == then
+    assert now.variant == "prune_loss_db=0.05"
+    assert current(GaussianOptions, {"rent": 0.02, "sh_degree": 3}) == {"prune_loss_db": 0.02, "sh_degree": 3}
 
 
 BY_SCHEDULE = {"ccnerf": {"first_side", "side", "rays"}, "plenoxels": {"resolution"}}

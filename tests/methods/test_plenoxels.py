@@ -12,9 +12,9 @@ import pytest
 import torch
 
 from econgs_bench.datasets.errors import DataError
-from econgs_bench.econgs.voxels import occupied
 from econgs_bench.methods.contract.scene import tiny_scene
 from econgs_bench.methods.interface import Edit, Refused
+from econgs_bench.methods.plenoxels.grid import occupied
 from econgs_bench.methods.plenoxels.model import PER_VOXEL, VoxelModel
 from econgs_bench.methods.plenoxels.region import Hull, first_grid
 from econgs_bench.methods.plenoxels.schedule import Schedule
@@ -93,10 +93,10 @@ def test_the_schedule_is_the_published_one_in_proportion():
         schedule = Schedule(iterations)
         part = iterations / 128_000
         assert schedule.finer == round(38_400 * part)
-        assert schedule.sh_rate(round(128_000 * part), 0.01) == pytest.approx(0.01 * 5e-4**0.512)
+        assert schedule.sh_learning_rate(round(128_000 * part), 0.01) == pytest.approx(0.01 * 5e-4**0.512)
         late = 30.0 * (0.05 / 30.0) ** 0.512
-        assert schedule.density_rate(round(128_000 * part), 30.0) == pytest.approx(late)
-        delayed = schedule.density_rate(round(1_500 * part), 30.0)
+        assert schedule.density_learning_rate(round(128_000 * part), 30.0) == pytest.approx(late)
+        delayed = schedule.density_learning_rate(round(1_500 * part), 30.0)
         assert 0.3 < delayed < 0.2 * 30.0
 
 

@@ -1,3 +1,4 @@
+import re
 import subprocess
 import sys
 from importlib.metadata import EntryPoint
@@ -74,6 +75,29 @@ def test_every_built_in_spec_loads_its_implementation():
     for name in known.built_in():
         method = load_method(known.spec(name))
         assert all(callable(getattr(method, name)) for name in ("partition", "fit", "load", "compose"))
+
+
+@pytest.mark.parametrize("spec", Registry().specs.values(), ids=lambda spec: spec.name)
+def test_the_source_of_a_built_in_method_is_what_it_imports_of_the_methods(spec):
+    """All folders of methods/ that its own folder builds on, and no other."""
+    folders, todo = set(), [spec.implementation.split(".")[2]]
+    if spec.name in ("sz3", "zfp"):
+        todo.append(spec.name)
+    while todo:
+        folders.add(folder := todo.pop())
+        text = "".join(file.read_text("utf-8") for file in (ROOT / "methods" / folder).glob("*.py"))
+        found = set(re.findall(r"econgs_bench\.methods\.(\w+)", text)) - {"interface", "shared"}
+        todo += found - folders - ({"mesh"} if folder != "mesh" else set())
+    own = {one.rpartition(".")[2] for one in spec.source if ".methods." in one} - {"interface", "shared"}
+    assert own == folders
+
+
+@pytest.mark.parametrize("line", ["from methods.interface import option", "import datasets.camera"])
+def test_a_plugin_with_the_imports_of_before_learns_todays(folder, line):
+    write(folder, "toy_old", extra=f"{line}\n")
+    module = line.split()[1]
+    with pytest.raises(DataError, match=f"Import econgs_bench.{module.split('.')[0]}"):
+        Registry([folder])
 
 
 def test_unknown_method_lists_near_matches():

@@ -160,7 +160,7 @@ def test_a_model_is_drawn_with_the_filter_of_its_fit(name: str, tmp_path: Path) 
         loaded = subject.method.load(folder, "cpu")
         assert loaded.rendering == model.rendering
         own = pictures(loaded, 1.0)
-        loaded.rendering = usual.rendering
+        loaded = loaded.drawn_by(usual.rendering)
         assert (pictures(loaded, 1.0) != own).any()
         with pytest.raises(Refused, match="filter"):
             subject.method.compose([model, usual])

@@ -274,7 +274,7 @@ def test_an_edit_shows_what_a_scene_so_defined_would(scenes, fitted):
     ):
         defined = tuple(edited(scene, edit) for scene in group.scenes)
         other = VegModel([replace(group, scenes=defined)])
-        other.rendering = model.rendering
+        other = other.drawn_by(model.rendering)
         expected = other.render(camera, ["tiny"])[0]
         assert torch.equal(model.render(camera, ["tiny"], {"tiny": edit})[0], expected)
         assert not torch.equal(model.render(camera, ["tiny"])[0], expected)

@@ -10,9 +10,11 @@ from dataclasses import dataclass
 import torch
 
 from econgs_bench.econgs.anchors.gaussians import Gaussians, draw
+from econgs_bench.econgs.losses import view_losses
 from econgs_bench.econgs.optim import Adam
 from econgs_bench.econgs.splat.composite import scale_depth
 from econgs_bench.methods.interface import Refused
+from econgs_bench.methods.shared.densification import Drawn
 from econgs_bench.methods.shared.edits import opacity_factor
 from econgs_bench.methods.shared.method import TrainerMethod
 from econgs_bench.methods.shared.model import SceneModel
@@ -33,15 +35,15 @@ class Trainer(TrainingLoop):
     """Fits one scene. The base class runs the iterations, draws views and writes checkpoints."""
 
     def __init__(self, scene, options, iterations, seed, device):
-        super().__init__([scene], iterations, seed, device)
+        super().__init__([scene], options, iterations, seed, device)
         if len(scene.cloud) == 0:
             raise Refused(f"scene {scene.name!r} has no cloud")  # a row of the tables, not a crash
-        self.train, self.options = scene.train, options
+        self.train, self.size, self.ssim_weight = scene.train, options.size, options.ssim_weight
         # The parameters. All randomness comes from self.generator, so that a resumed fit gives the same bits.
         self.positions = half_exact(torch.from_numpy(scene.cloud.points.copy())).to(device)
         values = torch.full((len(scene.cloud), 4), 0.1)
         values[:, :3] = torch.from_numpy(scene.cloud.colors.copy()).clamp(0.05, 0.95)
-        self.optimiser = Adam({"logits": values.logit().to(device)}, {"logits": options.rate})
+        self.optimiser = Adam({"logits": values.logit().to(device)}, {"logits": options.learning_rate})
 
     @property
     def count(self):
@@ -55,20 +57,15 @@ class Trainer(TrainingLoop):
     def views(self):
         return self.shuffled(len(self.train))
 
-    def step(self):
-        """One step of the optimiser on one view: your loss, growing and pruning go here."""
-        self.iteration += 1
+    def draw(self):
+        """Draw a view: parts of your loss go here. The base class takes gradients and steps."""
         view = self.next_view()
         truth = torch.from_numpy(self.train.images[view]).to(self.device)  # (H, W, 4), premultiplied
         values = self.optimiser["logits"].sigmoid()
-        splats = draw([blobs(self.positions, values, self.options.size)], self.train.cameras[view])
-        parts = self.view_losses(splats.features, splats.alpha, truth, self.train.background)
-        loss = parts["image"]  # add parts of the loss here
-        report = self.report({"image": loss})  # raises Diverged on NaN
-        self.optimiser.zero_grad()
-        loss.backward()
-        self.optimiser.step()
-        return report
+        splats = draw([blobs(self.positions, values, self.size)], self.train.cameras[view])
+        drawn = splats.features, splats.alpha
+        image, _ = view_losses(*drawn, truth, self.train.background, ssim_weight=self.ssim_weight)
+        return Drawn(losses={"image": image})
 
     def checkpoint(self):
         """The base class keeps optimiser, generator and order of views; add all else that the model needs."""

@@ -11,7 +11,7 @@ class Options:
 
     # A field per setting: default, one line for people, range. `Literal["a", "b"]` as type lists choices.
     size: float = option(0.03, "standard deviation of a blob, scene units", minimum=1e-4, maximum=1.0)
-    rate: float = option(0.05, "learning rate", minimum=0.0, maximum=1.0)
+    learning_rate: float = option(0.05, "learning rate", minimum=0.0, maximum=1.0)
     ssim_weight: float = option(0.2, "weight of D-SSIM in the loss", minimum=0.0, maximum=1.0)
 
 

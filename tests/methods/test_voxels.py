@@ -14,20 +14,9 @@ from scipy.ndimage import map_coordinates
 from econgs_bench.econgs.rays import Rays
 from econgs_bench.econgs.splat import native
 from econgs_bench.econgs.splat.sh import spherical_harmonics
-from econgs_bench.econgs.voxels import (
-    SH,
-    VoxelGrid,
-    Voxels,
-    bricks_of,
-    drawn,
-    lattice,
-    links_of,
-    occupied,
-    rms_step,
-    trace,
-    variation,
-    voxel_weights,
-)
+from econgs_bench.methods.plenoxels.grid import SH, VoxelGrid, Voxels, bricks_of, lattice, links_of, occupied
+from econgs_bench.methods.plenoxels.march import drawn, trace, voxel_weights
+from econgs_bench.methods.plenoxels.optimise import rms_step, variation
 
 SIZE = (21, 13, 17)
 

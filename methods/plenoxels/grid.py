@@ -12,7 +12,7 @@ from torch.nn import functional
 ROW = 32
 """Numbers in a row of colors: nine SH coefficients of red, of green and of blue, and five unused zeros."""
 SH = 27
-"""Those in use."""
+"""Floats of a row that hold SH coefficients."""
 BRICK = 4
 """Cells along a side of a brick, which rays skip where it is empty."""
 _AT_ONCE = 1 << 16  # vertices resampled at once

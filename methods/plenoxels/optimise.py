@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from econgs_bench.econgs.context.hash_grid import compiled, native
-from econgs_bench.econgs.voxels.grid import SH, VoxelGrid, Voxels
+from econgs_bench.methods.plenoxels.grid import SH, VoxelGrid, Voxels
 
 EPS = 1e-8
 

@@ -21,7 +21,7 @@ from torch import Tensor
 from econgs_bench.econgs.context.hash_grid import compiled, native
 from econgs_bench.econgs.rays import Rays
 from econgs_bench.econgs.splat.sh import harmonics
-from econgs_bench.econgs.voxels.grid import SH, VoxelGrid, Voxels
+from econgs_bench.methods.plenoxels.grid import SH, VoxelGrid, Voxels
 
 LEAST_DENSITY = 1e-8
 """Samples of less are empty (published)."""

@@ -23,12 +23,12 @@ def crowded(tiny):
 @pytest.mark.parametrize("name", METHODS)
 def test_what_no_view_shows_goes_and_pictures_stay(tiny, crowded, name):
     fit, recorders, models = Fits(name), {}, {}
-    for rent in (0.0, 0.01):
-        recorders[rent] = Recorder([CHECKPOINT])
-        models[rent] = fit(crowded, recorders[rent], ITERATIONS, rent=rent)
+    for loss in (0.0, 0.01):
+        recorders[loss] = Recorder([CHECKPOINT])
+        models[loss] = fit(crowded, recorders[loss], ITERATIONS, prune_loss_db=loss)
     assert recorders[0.01].counts[-1] <= recorders[0.0].counts[-1] - 40
-    quality = {rent: tiny.psnr(model, crowded.train) for rent, model in models.items()}
+    quality = {loss: tiny.psnr(model, crowded.train) for loss, model in models.items()}
     assert quality[0.01] > quality[0.0] - 1.0
     checkpoint = recorders[0.01].checkpoints[CHECKPOINT]
-    resumed = fit(crowded, Recorder(), ITERATIONS, resume=checkpoint, rent=0.01)
+    resumed = fit(crowded, Recorder(), ITERATIONS, resume=checkpoint, prune_loss_db=0.01)
     assert tiny.psnr(resumed, crowded.train) == quality[0.01]

@@ -7,10 +7,10 @@ import pytest
 import torch
 from scipy.interpolate import RegularGridInterpolator
 
-from econgs_bench.econgs.factors.lines import dense, line_products, resampled
-from econgs_bench.econgs.factors.rays import Region, Samples, hits, march, ray_sums, ray_weights
 from econgs_bench.econgs.rays import Rays
 from econgs_bench.econgs.splat import native
+from econgs_bench.methods.ccnerf.lines import dense, line_products, resampled
+from econgs_bench.methods.ccnerf.rays import Region, Samples, hits, march, ray_sums, ray_weights
 
 SIZES, GROUPS, RANKS, RAYS, COUNT = (5, 7, 4), 3, 16, 6, 40
 

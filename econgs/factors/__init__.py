@@ -1,1 +1,0 @@
-"""Scenes of factors: fields that are sums of products of lines (CP decomposition), seen along rays."""
