@@ -17,7 +17,8 @@ from econgs_bench.methods.interface import MethodSpec
 
 Fault = Literal["plugin", "harness", "machine"]
 _HARNESS = [
-    Path(methods.__path__[0]).parent / name for name in ("datasets", "econgs", "methods", "bench", "reports")
+    Path(methods.__path__[0]).resolve().parent / name
+    for name in ("datasets", "econgs", "methods", "bench", "reports")
 ]
 _PYTHON = [
     Path(sysconfig.get_path(name)).resolve() for name in ("stdlib", "platstdlib", "purelib", "platlib")

@@ -96,8 +96,8 @@ def test_what_no_plugin_was_running_for_is_the_harness_or_the_machine(culprit) -
     ("old", "new", "words"),
     [
         (
-            "loss.backward()", "loss.backwards()",
-            ["error   fit", "at fault: the plugin's code", "method.py:", "loss.backwards()"],
+            ".sigmoid()\n        splats", ".sigmoids()\n        splats",
+            ["error   fit", "at fault: the plugin's code", "method.py:", "sigmoids()"],
         ),
         (
             "        return cls(scene for",
