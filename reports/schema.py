@@ -208,7 +208,7 @@ COLUMNS: dict[str, Column] = _declare(
     Column("omissions", _T, "JSON: metric -> why a finished job lacks it"),
     Column("stage", _T, "stage in which the job failed"),
     Column("stale", _B, "method or settings are others today", default=False),
-    Column("changes", _T, "what of them: `version 3 (today 6)`, `rent 0.02 (today 0.01)`"),
+    Column("changes", _T, "what of them: `version 3 (today 6)`, `prune_loss_db 0.02 (today 0.01)`"),
     Column("differences", _T, "JSON: column -> why its value is not compared with those of other rows; the "
            "key `row` holds for all columns, `dataset` for a row that has a dataset of its own; else empty",
            default=""),

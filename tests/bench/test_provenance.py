@@ -20,8 +20,8 @@ def test_the_commit_is_known_where_the_package_was_installed_from_a_clone():
 
 def test_an_installed_package_tells_the_commit_that_it_was_built_from(tmp_path, monkeypatch):
     bench = tmp_path / "bench"
-    bench.mkdir()
-    monkeypatch.setattr(provenance, "__file__", str(bench / "provenance.py"))
+    (bench / "machine").mkdir(parents=True)
+    monkeypatch.setattr(provenance, "__file__", str(bench / "machine" / "provenance.py"))
     assert provenance.commit_here() is None
     (bench / "commit.txt").write_text("0123456789ab\n")
     assert provenance.commit_here() == "0123456789ab"
