@@ -18,6 +18,7 @@
     };
     const button = tr.cells[0].firstChild, text = `${dataset} ${tr.textContent}`.toLowerCase();
     button.setAttribute("aria-expanded", false);
+    Object.assign(tr.dataset, { dataset, key: data.key });
     return { tr, index, body: tr.parentNode, data, detail: null, kind, button, text };
   });
   for (const hint of table.querySelectorAll("abbr[data-w]")) hint.title = details.reasons[hint.dataset.w];

@@ -243,7 +243,7 @@ class Race:
 @once
 def of_report(report: Report) -> list[Race]:
     """The races of a whole report, whichever part of it asks: other lengths of a schedule race."""
-    return races(report.whole.results)
+    return races(report.results) if report.whole is report else of_report(report.whole)
 
 
 def races(results: pd.DataFrame) -> list[Race]:
