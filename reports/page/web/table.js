@@ -18,6 +18,10 @@
     };
     const button = tr.cells[0].firstChild, text = `${dataset} ${tr.textContent}`.toLowerCase();
     button.setAttribute("aria-expanded", false);
+    const name = document.createElement("span");
+    name.className = "ds";
+    name.textContent = `${dataset} / `;
+    button.prepend(name);
     Object.assign(tr.dataset, { dataset, key: data.key });
     return { tr, index, body: tr.parentNode, data, detail: null, kind, button, text };
   });
@@ -60,12 +64,6 @@
       if (row.detail) parts.get(body).append(row.detail);
     }
     parts.forEach((part, body) => body.append(part));
-    if (flat && !table.querySelector(".ds")) rows.forEach((row) => {
-      const name = document.createElement("span");
-      name.className = "ds";
-      name.textContent = `${row.data.dataset} / `;
-      row.button.prepend(name);
-    });
     table.classList.toggle("flat", flat);
     show();
   }
