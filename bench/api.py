@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from econgs_bench.datasets.camera import Camera
     from econgs_bench.methods.interface import Model
     from econgs_bench.reports.charts.chart import Chart
-    from econgs_bench.reports.charts.report import Report
+    from econgs_bench.reports.report import Report
 
 __all__ = [
     "DataError", "Dataset", "DatasetInfo", "Drawing", "Edit", "Runs", "SavedModel", "ViewSet",
@@ -261,7 +261,9 @@ class Runs:
 
         It is empty where no two methods can be compared.
         """
-        return {answer.title: answer.sentence for answer in self._report.answers}
+        from econgs_bench.reports.sections.order import answers
+
+        return {answer.title: answer.sentence for answer in answers(self._report)}
 
     @property
     def remarks(self) -> list[str]:
@@ -270,14 +272,14 @@ class Runs:
 
     @cached_property
     def _report(self) -> Report:
-        from econgs_bench.reports.charts.report import Report
+        from econgs_bench.reports.report import Report
 
         return Report(self.tables)
 
     @cached_property
     def charts(self) -> dict[str, Drawing]:
         """The charts of the report by name: "psnr-size", "rate-distortion", "anytime-psnr" and more."""
-        from econgs_bench.reports.charts.sections import charts
+        from econgs_bench.reports.sections.order import charts
 
         return {name: Drawing(name, chart) for name, chart in charts(self._report)}
 

@@ -43,7 +43,8 @@ changes. Keys:
     bundles     as above
     show        "bytes", "primitives": for ``level`` dB; "gains": dB per added KiB along the curve;
                 "prunable": percent of Gaussians that can go at ``level`` dB of loss
-    level       of :data:`.reports.conclusions.economy.LEVELS`, or a value of :data:`.reports.schema.PRUNED`
+    level       of the levels of :mod:`.reports.sections.economy.conclusion`, or a value of
+                :data:`.reports.schema.PRUNED`
 
 ``verdict``  what a section of the report concludes, its table, and a line with the conditions. Keys:
 
@@ -103,21 +104,27 @@ from econgs_bench.methods.options import CONFIGURATION, ITERATIONS, declared, re
 from econgs_bench.methods.registry import Registry
 from econgs_bench.reports import comparability
 from econgs_bench.reports.charts import svg
-from econgs_bench.reports.charts.report import Report
-from econgs_bench.reports.charts.sections import chart_sections
 from econgs_bench.reports.clocks import CLOCKS, Clocks
-from econgs_bench.reports.conclusions import economy, races, rates, unseen, volumes
-from econgs_bench.reports.conclusions.answers import Answer, scope, standing
-from econgs_bench.reports.conclusions.ladders import amount, by_method, contrasts, verdict
-from econgs_bench.reports.paper import datasets
-from econgs_bench.reports.paper.documents import to_markdown
-from econgs_bench.reports.paper.tables import paper_tables
-from econgs_bench.reports.paper.values import PaperTable
+from econgs_bench.reports.report import Report
 from econgs_bench.reports.schema import PRUNED, records
+from econgs_bench.reports.sections import order
+from econgs_bench.reports.sections.answers import contest
+from econgs_bench.reports.sections.answers.conclusion import Answer, scope, standing
+from econgs_bench.reports.sections.economy import conclusion as economy
+from econgs_bench.reports.sections.ladders.conclusion import amount, by_method, contrasts, verdict
+from econgs_bench.reports.sections.ladders.table import climbed, held, ladders
+from econgs_bench.reports.sections.order import chart_sections
+from econgs_bench.reports.sections.paper import datasets
+from econgs_bench.reports.sections.paper.documents import to_markdown
+from econgs_bench.reports.sections.paper.tables import paper_tables
+from econgs_bench.reports.sections.paper.values import PaperTable
+from econgs_bench.reports.sections.races import conclusion as races
+from econgs_bench.reports.sections.rates import conclusion as rates
+from econgs_bench.reports.sections.unseen import conclusion as unseen
+from econgs_bench.reports.sections.volumes import conclusion as volumes
 from econgs_bench.reports.statistics import Views
 from econgs_bench.reports.style import MISSING, PAPER, TITLES, counted, label
 from econgs_bench.reports.tables.documents import to_markdown as costs_as_markdown
-from econgs_bench.reports.tables.ladders import climbed, held, ladders
 from econgs_bench.reports.tables.protocols import by_scene_choice
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -529,7 +536,7 @@ def economy_of(description: str) -> str:
     """What models spend on scenes, as Markdown, and a line with the conditions."""
     block = tomllib.loads(description)
     report = Report(tables(tuple(block["bundles"]))).of_defaults
-    rows = report.economies
+    rows = economy.of_report(report)
     if not economy.has_facts(rows):
         raise SystemExit(f"nothing of the kind for {block}")
     show, level = block["show"], float(block.get("level", 0.0))
@@ -567,25 +574,28 @@ def verdict_of(description: str) -> str:
     rows = parts["results"].query(block.get("where", "index >= 0"), engine="python")
     parts["results"] = comparability.judged(rows, Clocks(parts["results"]))
     report = Report(parts)
+    found, leads = order.answers(report), order.family(report)
     if block["section"] == "unseen":
         targets = unseen.targets(report.results)
         sentence, heads, lines = unseen.conclusion(targets), unseen.HEADS, unseen.rows(targets)
     elif block["section"] == "races":
-        sentence, heads = " ".join(races.conclusion(report.races, report.family)), races.HEADS
-        lines = [races.row(race, lead, report.family) for race in report.races for lead in race.leads]
+        held = races.of_report(report)
+        sentence, heads = " ".join(races.conclusion(held, leads)), races.HEADS
+        lines = [races.row(race, lead, leads) for race in held for lead in race.leads]
     elif block["section"] == "rates":
-        sentence, heads = rates.conclusion(report.differences, report.family), rates.HEADS
-        lines = [rates.row(one) for one in report.differences]
+        pairs = rates.of_report(report)
+        sentence, heads = rates.conclusion(pairs, leads), rates.HEADS
+        lines = [rates.row(one) for one in pairs]
     elif block["section"] == "answers":
-        sentence, heads = scope(report.contests[0]), ("", "")
-        lines = [[f"**{one.title}**", one.sentence] for one in report.answers]
+        sentence, heads = scope(contest.of_report(report)[0]), ("", "")
+        lines = [[f"**{one.title}**", one.sentence] for one in found]
     elif block["section"] == "places":
         heads, lines = _places(report)
         sentence = "Means per scene, and in parentheses the rank and on how many scenes a method is first."
     else:
-        verdicts = volumes.verdicts(report.curves)
-        sentence, heads = volumes.conclusion(verdicts), volumes.HEADS
-        lines = [volumes.row(one) for one in verdicts]
+        payoffs = volumes.payoffs(report.curves)
+        sentence, heads = volumes.conclusion(payoffs), volumes.HEADS
+        lines = [volumes.row(one) for one in payoffs]
     if not lines:
         raise SystemExit(f"nothing of the kind for {block}")
     if not block.get("table", True):
@@ -598,14 +608,14 @@ def verdict_of(description: str) -> str:
 def _places(report: Report) -> tuple[list[str], list[list[str]]]:
     """Methods by criteria: heads and rows."""
     lines = []
-    for method in report.contests[0].methods:
+    for method in contest.of_report(report)[0].methods:
         cells = []
-        for answer in report.answers:
+        for answer in order.answers(report):
             own, rank = answer.place(method) or (None, 0)
             remarks = [str(rank + 1), answer.firsts(own)] if own else []
             cells.append(f"{own.text} ({'; '.join(filter(None, remarks))})" if own else MISSING)
         lines.append([TITLES.get(method, method), *cells])
-    return ["method", *(answer.title for answer in report.answers)], lines
+    return ["method", *(answer.title for answer in order.answers(report))], lines
 
 
 def method_of(description: str) -> str:
@@ -629,7 +639,7 @@ def method_of(description: str) -> str:
 
 @cache
 def _answers(bundle: str) -> list[Answer]:
-    return Report(tables((bundle,))).answers
+    return order.answers(Report(tables((bundle,))))
 
 
 def _place(answer: Answer, method: str) -> str:

@@ -10,16 +10,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from econgs_bench.reports.comparability import listing, replaced
-from econgs_bench.reports.paper import datasets
-from econgs_bench.reports.paper import documents as paper_documents
+from econgs_bench.reports.sections.ladders import table as ladders
+from econgs_bench.reports.sections.paper import datasets
+from econgs_bench.reports.sections.paper import documents as paper_documents
+from econgs_bench.reports.sections.rates import conclusion as rates
+from econgs_bench.reports.sections.uncertainty.table import comparisons_of, intervals_of
 from econgs_bench.reports.tables.documents import to_csv, to_latex, to_markdown
 from econgs_bench.reports.text import short_name
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from econgs_bench.reports.charts.report import Report
-    from econgs_bench.reports.paper.values import PaperTable
+    from econgs_bench.reports.report import Report
+    from econgs_bench.reports.sections.paper.values import PaperTable
 
 
 def write_files(report: Report, folder: Path, paper: Sequence[PaperTable]) -> None:
@@ -47,12 +50,16 @@ def write_files(report: Report, folder: Path, paper: Sequence[PaperTable]) -> No
         write_text(folder / "results.md", to_markdown(report.measured, report.ranks, remark))
         write_text(folder / "results.tex", to_latex(report.measured, report.ranks, remark))
         _write_differences(report, folder)
-        for name, statistics in (("intervals", report.intervals), ("comparisons", report.comparisons)):
+        for name, statistics in (
+            ("intervals", intervals_of(report)),
+            ("comparisons", comparisons_of(report)),
+        ):
             if not statistics.empty:
                 write_text(folder / f"{name}.csv", to_csv(statistics))
         _write_rates(report, folder)
-        if not report.ladders.empty:
-            write_text(folder / "ladders.csv", to_csv(report.ladders))
+        rungs = ladders.of_report(report)
+        if not rungs.empty:
+            write_text(folder / "ladders.csv", to_csv(rungs))
     if not dvr.empty:
         costs = datasets.costs(dvr)
         write_text(folder / "datasets.csv", to_csv(dvr))
@@ -76,8 +83,8 @@ def _write_rates(report: Report, folder: Path) -> None:
         for curve in rows:
             path = folder / "curves" / _file_name(dataset) / f"{_file_name(curve.title)}.json"
             write_text(path, json.dumps(curve.exchange(), indent=1) + "\n")
-    if report.differences:
-        table = pd.DataFrame([asdict(difference) for difference in report.differences])
+    if differences := rates.of_report(report):
+        table = pd.DataFrame([asdict(difference) for difference in differences])
         table = table.drop(columns="scenes")
         table["warnings"] = ["; ".join(warnings) for warnings in table["warnings"]]
         for name in ("psnr_range", "bytes_range", "rate_interval", "psnr_interval"):

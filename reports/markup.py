@@ -6,14 +6,10 @@ import json
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from econgs_bench.reports.style import DARK, Look, Model, absent, look, model, row_label
+from econgs_bench.reports.style import PALETTE, Look, Model, absent, look, model, row_label
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-
-_LONG = 30
-"""Rows from which a table scrolls on its own on a screen, with fixed heads; print has all rows."""
+    from collections.abc import Sequence
 
 
 def method(row: Any, models: Sequence[Model]) -> str:
@@ -26,9 +22,10 @@ def method(row: Any, models: Sequence[Model]) -> str:
 
 
 def dot(look: Look) -> str:
-    """A marker in its color, lighter where it would drown on dark; the page's style has its shape."""
-    color = f"light-dark({look.color},{DARK[look.color]})" if look.color in DARK else look.color
-    return f'<span class="dot {look.marker}" style="background:{color}"></span>'
+    """A marker in its color; the page's style has its shape, and the colors of methods."""
+    if look.color in PALETTE:
+        return f'<i class="dot {look.marker} c{PALETTE.index(look.color)}"></i>'
+    return f'<i class="dot {look.marker}" style="background:{look.color}"></i>'
 
 
 def status(row: Any) -> str:
@@ -62,24 +59,3 @@ def data(value: Any, anchor: str = "") -> str:
 def hint(text: str, why: str) -> str:
     """A text with an explanation."""
     return f'<abbr title="{escape(str(why))}">{escape(text)}</abbr>'
-
-
-def table(caption: str, heads: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    """A plain table that scrolls where it is too wide or long; the first cell names its row.
-
-    Args:
-        caption: title of the table, as text.
-        heads: titles of the columns, as text.
-        rows: cells of each row, as HTML.
-    """
-    head = "".join(f'<th scope="col">{escape(text)}</th>' for text in heads)
-    lines = []
-    for first, *others in rows:
-        cells = "".join(f"<td>{cell}</td>" for cell in others)
-        lines.append(f'<tr><th scope="row">{first}</th>{cells}</tr>')
-    tall = " tall" if len(lines) > _LONG else ""
-    return (
-        f'<div class="wide{tall}" role="region" tabindex="0" aria-label="{escape(caption)}"><table>'
-        f"<caption>{escape(caption)}</caption><thead><tr>{head}</tr></thead>"
-        f"<tbody>{''.join(lines)}</tbody></table></div>"
-    )

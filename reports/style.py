@@ -265,6 +265,24 @@ def legend_entries(panels: Iterable[Iterable[Model]], models: Sequence[Model]) -
     return entries | ({OTHERS_NAME: OTHERS} if OTHERS in styles.values() else {})
 
 
+def ends(low: float | None, high: float | None, sign: bool = False) -> str:
+    """An interval as "-0.56 to -0.003", with enough digits that an end unlike zero is not printed as zero."""
+    if absent(low) or absent(high):
+        return MISSING
+    low, high = float(low or 0.0), float(high or 0.0)
+    apart = low > 0 or high < 0
+    enough = (n for n in range(2, 6) if not apart or (round(low, n) and round(high, n)))
+    digits = next(enough, 6)
+    return f"{signed(low, digits, sign)} to {signed(high, digits, sign)}"
+
+
+def signed(value: float, digits: int = 2, sign: bool = True) -> str:
+    """A number with a true minus sign; never "-0.00"."""
+    rounded = round(value, digits) + 0.0
+    text = f"{rounded:+.{digits}f}" if sign else f"{rounded:.{digits}f}"
+    return text.replace("-", "\N{MINUS SIGN}")
+
+
 def seconds(value: float) -> str:
     """A duration for people: "4.2 ms", "0.42 s", "12.3 s", "3 min 20 s", "1 h 05 min"."""
     if value < 0.0995:

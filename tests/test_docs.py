@@ -13,7 +13,7 @@ from econgs_bench.bench.tune.study import Conditions, Point, Study, Trial
 from econgs_bench.methods.econgs.spec import SPEC
 from econgs_bench.methods.options import declared, resolve
 from econgs_bench.reports.schema import TABLES, frame
-from tests.reports.tables.test_ladders import table as rungs
+from tests.reports.sections.ladders.test_table import table as rungs
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("reports/*/README.md")])

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from econgs_bench.methods.interface import MethodSpec
-    from econgs_bench.reports.charts.report import Report
+    from econgs_bench.reports.report import Report
     from econgs_bench.reports.tables.grid import Field
 
 
@@ -79,11 +79,11 @@ def report_arguments(parser: ArgumentParser) -> None:
 
 def report(options: Namespace) -> int:
     """Print those of the paper's tables that a store has rows of, and write its HTML report."""
-    from econgs_bench.reports.charts.report import Report
     from econgs_bench.reports.page.document import write_report
-    from econgs_bench.reports.paper import claims, documents, verdicts
-    from econgs_bench.reports.paper.evidence import of_report
-    from econgs_bench.reports.paper.tables import lacking, paper_tables
+    from econgs_bench.reports.report import Report
+    from econgs_bench.reports.sections.paper import claims, documents, verdicts
+    from econgs_bench.reports.sections.paper.evidence import of_report
+    from econgs_bench.reports.sections.paper.tables import lacking, paper_tables
 
     store = Store(Path(options.runs))
     page = _page(Path(options.out)) if options.out else store.root / "report.html"
@@ -107,17 +107,18 @@ def report(options: Namespace) -> int:
 
 def print_answers(contents: Report) -> None:
     """Print who is best at what, who leads races, and what is not compared."""
-    from econgs_bench.reports.conclusions import races
-    from econgs_bench.reports.conclusions.answers import to_text
+    from econgs_bench.reports.sections.answers import contest
+    from econgs_bench.reports.sections.answers.conclusion import to_text
+    from econgs_bench.reports.sections.order import answers, family
+    from econgs_bench.reports.sections.races import conclusion as races
 
-    if contents.contests:
-        print_prose("\n".join(to_text(contents.contests[0], contents.answers)))
+    if found := contest.of_report(contents):
+        print_prose("\n".join(to_text(found[0], answers(contents))))
     elif contents.results["method"].nunique() > 1:
         print("Nothing is ranked: no two methods have the same scenes under the same conditions.")
-    for sentence in races.conclusion(contents.races, contents.family):
+    for sentence in races.conclusion(races.of_report(contents), family(contents)):
         print_prose(sentence)
-    found = [one.sentence for one in contents.remarks]
-    _print_differences(found, contents.stored["differences"], sys.stdout)
+    _print_differences([one.sentence for one in contents.remarks], contents.stored["differences"], sys.stdout)
 
 
 def report_damage(store: Store) -> None:

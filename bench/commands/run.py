@@ -53,9 +53,9 @@ def run(options: Namespace) -> int:
         frames["results"] = own
     if len(frames["results"]) or len(frames["rungs"]) or len(frames["dvr"]):
         from econgs_bench.bench.commands.results import print_answers, print_results, print_table
-        from econgs_bench.reports.conclusions.ladders import summary
-        from econgs_bench.reports.paper.datasets import costs
-        from econgs_bench.reports.tables.ladders import climbed, ladders
+        from econgs_bench.reports.sections.ladders.conclusion import summary
+        from econgs_bench.reports.sections.ladders.table import climbed, ladders
+        from econgs_bench.reports.sections.paper.datasets import costs
         from econgs_bench.reports.terminal import print_prose
 
         if len(frames["results"]):
@@ -67,10 +67,10 @@ def run(options: Namespace) -> int:
         page = store.root / "report.html"
         if not options.no_report:
             if outcome.ran or not page.is_file():
-                from econgs_bench.reports.charts.report import Report
                 from econgs_bench.reports.page.document import write_report
-                from econgs_bench.reports.paper.layouts import layouts
-                from econgs_bench.reports.paper.tables import lacking, paper_tables
+                from econgs_bench.reports.report import Report
+                from econgs_bench.reports.sections.paper.layouts import layouts
+                from econgs_bench.reports.sections.paper.tables import lacking, paper_tables
 
                 contents = Report(tables)
                 paper = paper_tables(tables, contents.views)

@@ -219,7 +219,7 @@ class Planner:
     def _repeats(self, jobs: list[Job], store: Store) -> Iterator[Job]:
         """Rungs on which a method breaks, and the first rungs beside them, with further seeds."""
         from econgs_bench.bench.results.tables import rungs_table
-        from econgs_bench.reports.tables.ladders import ladders
+        from econgs_bench.reports.sections.ladders.table import ladders
 
         records = [store.record(job.id) for job in jobs if job.kind == "measure"]
         done = [record for record in records if record is not None]

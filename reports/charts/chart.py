@@ -403,8 +403,10 @@ class Chart:
         panels: in reading order.
         legend: name -> look.
         note: remarks below panels and legend, on what is left out and why.
+        title: of the chart beside others of a section.
     """
 
     panels: Sequence[Panel]
     legend: dict[str, Look] = field(default_factory=dict)
     note: str = ""
+    title: str = ""

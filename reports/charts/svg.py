@@ -11,7 +11,7 @@ from typing import Any
 from econgs_bench.reports import markup
 from econgs_bench.reports.charts.chart import INK, WIDTH, Axis, Chart, Panel
 from econgs_bench.reports.charts.labels import LINE, SIZE, text_width
-from econgs_bench.reports.style import DARK, Look
+from econgs_bench.reports.style import DARK, PALETTE, Look
 from econgs_bench.reports.text import xml_text
 
 FONT = "Liberation Sans, Arial, Helvetica, sans-serif"
@@ -58,7 +58,7 @@ def page_panel(panel: Panel) -> str:
 
 
 def theme() -> str:
-    """Style rules that give charts the colors of the page, light and dark, and dots the shapes of markers."""
+    """Style rules: colors of charts and of dots, light and dark, and the shapes of markers for dots."""
     colors = [
         f'.chart [{name}="{color}"], .swatch [{name}="{color}"] {{ {name}: {value}; }}\n'
         for color, value in THEME.items()
@@ -69,7 +69,8 @@ def theme() -> str:
         reach = max(abs(part) for corner in corners for part in corner)
         outline = ",".join(f"{_n(50 + 50 * x / reach)}% {_n(50 + 50 * y / reach)}%" for x, y in corners)
         shapes.append(f".dot.{marker} {{ border: 0; border-radius: 0; clip-path: polygon({outline}); }}\n")
-    return "".join([*colors, *shapes])
+    dots = [f".dot.c{i} {{ background: {THEME.get(color, color)}; }}\n" for i, color in enumerate(PALETTE)]
+    return "".join([*colors, *dots, *shapes])
 
 
 def file(chart: Chart) -> str:
@@ -82,7 +83,7 @@ def file(chart: Chart) -> str:
         left = 0.0
         for panel, title in zip(row, titles, strict=True):
             for i, line in enumerate(title):
-                parts.append(_text(left + 8, top + _TITLE * (i + 1) - 3, line, size=_TITLE_SIZE, bold=True))
+                parts.append(text(left + 8, top + _TITLE * (i + 1) - 3, line, size=_TITLE_SIZE, bold=True))
             parts.append(f'<g transform="translate({_n(left)} {_n(top + head)})">{drawing(panel)}</g>')
             left += panel.width + _GAP
         right = max(right, left - _GAP)
@@ -91,7 +92,7 @@ def file(chart: Chart) -> str:
     parts.append(f'<g transform="translate(0 {_n(top)})">{entries}</g>')
     top += height
     for line in _lines(chart.note, right, SIZE):
-        parts.append(_text(8, top + LINE - 3, line, color=_SOFT))
+        parts.append(text(8, top + LINE - 3, line, color=_SOFT))
         top += LINE
     top += 4.0 if chart.note else 0.0
     return _document(right, top, "".join(parts), f' style="background:{_PAPER}"')
@@ -155,13 +156,14 @@ def _axes(panel: Panel, links: bool) -> Iterator[str]:
     yield f'<path d="{"".join(grid)}" stroke="{_GRID}" fill="none"/>'
     if not panel.x.above:
         yield f'<path d="M{_n(left)} {_n(top)}v{_n(height)}h{_n(width)}" stroke="{_SOFT}" fill="none"/>'
-    for x, text in columns:
-        yield _tick(panel.x, links, _text(x, top - 6 if panel.x.above else bottom + 14, text, "middle"), text)
-    for y, text in rows:
-        yield _tick(panel.y, links, _text(left - 5, y + 4, text, "end"), text)
-    yield _text(left + width / 2, bottom + 32, panel.x.title, "middle", size=SIZE + 1)
+    for x, word in columns:
+        y = top - 6 if panel.x.above else bottom + 14
+        yield _tick(panel.x, links, text(x, y, word, "middle"), word)
+    for y, word in rows:
+        yield _tick(panel.y, links, text(left - 5, y + 4, word, "end"), word)
+    yield text(left + width / 2, bottom + 32, panel.x.title, "middle", size=SIZE + 1)
     if panel.y.title:
-        yield _text(12, top + height / 2, panel.y.title, "middle", size=SIZE + 1, turned=True)
+        yield text(12, top + height / 2, panel.y.title, "middle", size=SIZE + 1, turned=True)
 
 
 def _tick(axis: Axis, links: bool, markup: str, text: str) -> str:
@@ -182,13 +184,13 @@ def _bars(panel: Panel) -> Iterator[str]:
 def _levels(panel: Panel) -> Iterator[str]:
     """Lines across the panel, and above it a sample of each with its name."""
     left, _, width, _ = panel.box
-    for middle, level, text in panel.level_texts:
+    for middle, level, words in panel.level_texts:
         style = f'stroke="{INK}" stroke-width="{_n(level.width)}" stroke-dasharray="{_DASHES[level.dash]}"'
         if panel.y.holds(level.value):
             height = panel.place(panel.x.low, level.value)[1]
             yield f'<path d="M{_n(left)} {_n(height)}h{_n(width)}" {style} fill="none"/>'
             yield f'<path d="M{_n(left)} {_n(middle)}h{_n(_SAMPLE)}" {style} fill="none"/>'
-        yield _text(left + _SAMPLE + 6, middle + 4, text, color=_SOFT)
+        yield text(left + _SAMPLE + 6, middle + 4, words, color=_SOFT)
 
 
 def _stages(panel: Panel) -> Iterator[str]:
@@ -202,10 +204,10 @@ def _stages(panel: Panel) -> Iterator[str]:
 def _bends(panel: Panel) -> Iterator[str]:
     """A zigzag across the panel where the scale of its vertical axis changes, and by how much."""
     left, _, width, _ = panel.box
-    for start, middle, bend, text in panel.remarks:
+    for start, middle, bend, words in panel.remarks:
         zigzag = f"M{_n(left)} {_n(bend)}l2 -2" + "l4 4l4 -4" * int(width // 8 - 1) + "l4 4l2 -2"
         yield f'<path d="{zigzag}" stroke="{_SOFT}" stroke-width="0.8" fill="none"/>'
-        yield _text(start, middle + 4, text, color=_SOFT, halo=True)
+        yield text(start, middle + 4, words, color=_SOFT, halo=True)
 
 
 def _series(panel: Panel) -> Iterator[str]:
@@ -231,9 +233,9 @@ def _series(panel: Panel) -> Iterator[str]:
 
 def _labels(panel: Panel) -> Iterator[str]:
     _, top, _, height = panel.box
-    for x, text in panel.stages:
+    for x, words in panel.stages:
         across = panel.place(x, panel.y.low)[0]
-        yield _text(across + 11, top + height - 5, text, color=_SOFT, turned=True, halo=True)
+        yield text(across + 11, top + height - 5, words, color=_SOFT, turned=True, halo=True)
     for label, place in panel.placed:
         if place.far:
             x, y = panel.place(label.x, label.y)
@@ -245,13 +247,14 @@ def _labels(panel: Panel) -> Iterator[str]:
             )
         first = place.y - LINE * (len(place.lines) - 1) / 2 + 4
         for i, line in enumerate(place.lines):
-            yield _text(place.x, first + LINE * i, line, place.anchor, color=label.color, halo=True)
+            yield text(place.x, first + LINE * i, line, place.anchor, color=label.color, halo=True)
 
 
-def _text(
-    x: float, y: float, text: str, anchor: str = "start", *, size: float = SIZE, color: str = INK,
+def text(
+    x: float, y: float, words: str, anchor: str = "start", *, size: float = SIZE, color: str = INK,
     bold: bool = False, turned: bool = False, halo: bool = False,
 ) -> str:  # fmt: skip
+    """A text element; ``x`` and ``y`` are the start, middle or end of its base line in pixels."""
     place = f'x="{_n(x)}" y="{_n(y)}"'
     if turned:
         place = f'transform="translate({_n(x)} {_n(y)}) rotate(-90)"'
@@ -263,7 +266,7 @@ def _text(
     more += (
         f' paint-order="stroke" stroke="{_PAPER}" stroke-width="3" stroke-linejoin="round"' if halo else ""
     )
-    return f'<text {place} fill="{color}"{more}>{escape(text, quote=False)}</text>'
+    return f'<text {place} fill="{color}"{more}>{escape(words, quote=False)}</text>'
 
 
 def swatch(look: Look) -> str:
@@ -283,7 +286,7 @@ def _legend(entries: dict[str, Look], width: float) -> tuple[str, float]:
         long = 34.0 + text_width(name) + 16.0
         if x > 8.0 and x + long > width:
             x, y = 8.0, y + 18.0
-        parts.append(f'<g transform="translate({_n(x)} {_n(y)})">{swatch(look)}{_text(32, 10, name)}</g>')
+        parts.append(f'<g transform="translate({_n(x)} {_n(y)})">{swatch(look)}{text(32, 10, name)}</g>')
         x += long
     return "".join(parts), y + 22.0 if entries else 0.0
 

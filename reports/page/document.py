@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import base64
 import hashlib
+from dataclasses import replace
 from html import escape
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from econgs_bench.reports.charts import files as chart_files
 from econgs_bench.reports.charts import svg
-from econgs_bench.reports.charts.elements import Section
-from econgs_bench.reports.charts.report import Report
-from econgs_bench.reports.charts.sections import chart_sections, variant_sections
 from econgs_bench.reports.files import write_files, write_text
-from econgs_bench.reports.page import answers, datasets, editing, ladders, provenance, scenes, training_views
-from econgs_bench.reports.page import results as results_table
-from econgs_bench.reports.paper import verdicts
-from econgs_bench.reports.paper.evidence import of_report
-from econgs_bench.reports.paper.tables import paper_tables
+from econgs_bench.reports.report import Report
+from econgs_bench.reports.sections.order import family, first, sections
+from econgs_bench.reports.sections.paper.tables import paper_tables
+from econgs_bench.reports.sections.pictures import section as pictures
+from econgs_bench.reports.sections.section import Page, Section, to_html
 from econgs_bench.reports.style import absent, counted, label
 from econgs_bench.reports.text import xml_text
 
@@ -28,7 +25,7 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-    from econgs_bench.reports.paper.values import PaperTable
+    from econgs_bench.reports.sections.paper.values import PaperTable
 
 _WEB = Path(__file__).parent / "web"
 _FEW_REMARKS = 4
@@ -57,52 +54,35 @@ def write_report(
     report = report or Report(tables)
     paper = paper_tables(tables, report.views) if paper is None else paper
     folder = out.parent / "charts"
-    results, dvr = report.results, tables["dvr"]
-    sections: list[Section] = []
+    page = Page(report, family(report), paper, root, folder)
+    parts: list[Section] = []
     with chart_files.output(folder) as write_charts:
-        if not results.empty:
-            charts = []
-            for section in chain(chart_sections(report.of_defaults), variant_sections(report)):
-                write_charts(section.charts)
-                charts.append(section)
-                if section.anchor == "ladders":
-                    html = ladders.section(report, root, folder)
-                    charts.append(Section("breaks", "Where each method fails first", html))
-            parts = (
-                ("scenes", "Pictures", scenes.section(report, root, folder)),
-                ("results", "Results", results_table.section(report)),
-                ("paper", "The paper's tables", verdicts.section(paper, of_report(report), report.views)),
-                ("editing", "Editing", editing.section(report, root, folder)),
-                ("views", "Numbers of training views", training_views.section(report, root, folder)),
-            )
-            sections = [*(Section(*part) for part in parts if part[2]), *charts]
-            first = answers.section(report, [part.anchor for part in sections])
-            if first is not None:
-                write_charts(first.charts)
-                sections.insert(0, first)
-        if not dvr.empty:
-            sections.append(Section("datasets", "Rendering the volumes", datasets.section(dvr)))
-        if not results[["machine", "commit"]].dropna(how="all").empty:
-            sections.append(Section("provenance", "Provenance", provenance.section(report)))
+        for section in sections(page):
+            write_charts(section.charts)
+            parts.append(section)
+        start = first(replace(page, anchors=[part.anchor for part in parts]))
+        if start is not None:
+            write_charts(start.charts)
+            parts.insert(0, start)
         write_files(report, out.parent, paper)
-        name = _name(dvr if results.empty else results)
-        head = _head(name, report.measured, sections, [one.sentence for one in report.remarks])
-        write_text(out, xml_text(_document(name, head, sections)))
+        name = _name(report.stored["dvr"] if report.results.empty else report.results)
+        head = _head(name, report.measured, parts, [one.sentence for one in report.remarks])
+        write_text(out, xml_text(_document(name, head, parts)))
     return out
 
 
-def _document(name: str, head: str, sections: list[Section]) -> str:
+def _document(name: str, head: str, parts: list[Section]) -> str:
     body = "\n".join(
         f'<section aria-labelledby="{part.anchor}"><h2 id="{part.anchor}">{escape(part.title)}</h2>\n'
-        f"{part.html}</section>"
-        if _is_open(part, sections)
+        f"{to_html(part)}</section>"
+        if _is_open(part, parts)
         else f'<details class="part"><summary><h2 id="{part.anchor}">{escape(part.title)}</h2></summary>\n'
-        f"{part.html}</details>"
-        for part in sections
+        f"{to_html(part)}</details>"
+        for part in parts
     )
     scripts = ["theme.js", "fold.js", "table.js"]
     if 'class="compare"' in body:
-        body += scenes.COMPARE
+        body += pictures.COMPARE
         scripts.append("compare.js")
     if 'class="chart"' in body:
         scripts.append("charts.js")
@@ -119,12 +99,12 @@ def _document(name: str, head: str, sections: list[Section]) -> str:
     )
 
 
-def _is_open(part: Section, sections: list[Section]) -> bool:
+def _is_open(part: Section, parts: list[Section]) -> bool:
     """Whether a section is unfolded: the answers, and pictures; all of them in a report without answers."""
     return (
         part.anchor == "answers"
-        or (part.anchor == "scenes" and scenes.INLINE in part.html)
-        or sections[0].anchor != "answers"
+        or (part.anchor == "scenes" and pictures.INLINE in part.html)
+        or parts[0].anchor != "answers"
     )
 
 
@@ -168,13 +148,13 @@ def _methods(results: pd.DataFrame) -> str:
     )
 
 
-def _head(name: str, results: pd.DataFrame, sections: list[Section], remarks: Sequence[str]) -> str:
+def _head(name: str, results: pd.DataFrame, parts: list[Section], remarks: Sequence[str]) -> str:
     """Heading, counts of statuses, what is not compared, links to the sections, and facts about the runs."""
     title = f'<h1>{escape(name)}</h1><button type="button" id="theme" hidden></button>'
-    links = "".join(f'<li><a href="#{part.anchor}">{escape(part.title)}</a></li>' for part in sections)
+    links = "".join(f'<li><a href="#{part.anchor}">{escape(part.title)}</a></li>' for part in parts)
     nav = f'<nav aria-label="Sections"><ul>{links}</ul></nav>' if links else ""
     if results.empty:
-        if sections:
+        if parts:
             return title + nav
         return f"{title}<p>The run store holds no results yet. <code>bench run quick</code> makes some.</p>"
     sizes = {

@@ -70,7 +70,7 @@ class Shot:
 
 
 @dataclass(frozen=True, eq=False)
-class Panel:
+class SceneView:
     """One view of a scene.
 
     Attributes:
@@ -154,7 +154,7 @@ def choose(views: pd.DataFrame) -> dict[str, str]:
     return distinct
 
 
-def panels(rows: pd.DataFrame, views: pd.DataFrame, root: Path) -> Iterator[Panel]:
+def panels(rows: pd.DataFrame, views: pd.DataFrame, root: Path) -> Iterator[SceneView]:
     """The panels of a scene, most important first.
 
     Args:
@@ -167,12 +167,12 @@ def panels(rows: pd.DataFrame, views: pd.DataFrame, root: Path) -> Iterator[Pane
         yield _panel(which, view, rows, of_scene, root)
 
 
-def in_view(rows: pd.DataFrame, views: pd.DataFrame, root: Path, view: str, caption: str) -> Panel:
+def in_view(rows: pd.DataFrame, views: pd.DataFrame, root: Path, view: str, caption: str) -> SceneView:
     """The panel of a given view; arguments as of :func:`panels`."""
     return replace(_panel("median", view, rows, views, root), caption=caption)
 
 
-def _panel(which: str, view: str, models: pd.DataFrame, views: pd.DataFrame, root: Path) -> Panel:
+def _panel(which: str, view: str, models: pd.DataFrame, views: pd.DataFrame, root: Path) -> SceneView:
     rows = views[views["view"] == view].drop_duplicates("job").set_index("job")
     truth, shots, differences = None, [], []
     for _, model in models.iterrows():
@@ -202,7 +202,7 @@ def _panel(which: str, view: str, models: pd.DataFrame, views: pd.DataFrame, roo
         shorter = min(differences[0].shape)
         side = min(shorter, max(_LEAST, shorter // _ZOOM))
         window = (*largest_window(np.mean(differences, axis=0), side), side)
-    return Panel(which, view, truth, shots, window)
+    return SceneView(which, view, truth, shots, window)
 
 
 def _why(error: Exception) -> str:

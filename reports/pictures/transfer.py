@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from econgs_bench.reports.pictures.panels import Panel
+from econgs_bench.reports.pictures.panels import SceneView
 from econgs_bench.reports.style import absent
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def transfer_picture(transfer: Any, side: int) -> NDArray[np.uint8] | None:
     return pixels(strips)
 
 
-def beside(panels: Iterable[Panel], scenes: pd.DataFrame | None, row: Any) -> list[Panel]:
+def beside(panels: Iterable[SceneView], scenes: pd.DataFrame | None, row: Any) -> list[SceneView]:
     """The panels of a scene with the picture of its transfer function, if the table `scenes` has it.
 
     Args:

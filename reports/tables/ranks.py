@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING, Any
 from econgs_bench.reports.schema import COLUMNS, METRICS, records
 from econgs_bench.reports.statistics import Views
 from econgs_bench.reports.style import absent
+from econgs_bench.reports.tables.table import UNDECIDED, UNDECIDED_SIGN
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-UNDECIDED = 3
-"""Mark of a value that is not ranked: the interval of its paired difference contains zero."""
-UNDECIDED_SIGN = "\N{ALMOST EQUAL TO}"
 UNDECIDED_NOTE = (
     f"{UNDECIDED_SIGN}: not ranked against each other: the 95 % interval of their paired difference over "
     "views and seeds contains zero."

@@ -19,14 +19,17 @@ from econgs_bench.bench.store.lineage import Lineage
 from econgs_bench.bench.store.store import Store
 from econgs_bench.methods.registry import Registry
 from econgs_bench.reports.charts import svg
-from econgs_bench.reports.charts.report import Report
-from econgs_bench.reports.charts.sections import charts
 from econgs_bench.reports.comparability import kind_of
-from econgs_bench.reports.conclusions.answers import CRITERIA
 from econgs_bench.reports.page.document import write_report
-from econgs_bench.reports.paper.documents import to_text
-from econgs_bench.reports.paper.tables import paper_tables
+from econgs_bench.reports.report import Report
 from econgs_bench.reports.schema import records
+from econgs_bench.reports.sections.answers.conclusion import CRITERIA
+from econgs_bench.reports.sections.answers.contest import of_report as contest_of
+from econgs_bench.reports.sections.order import charts
+from econgs_bench.reports.sections.paper.documents import to_text
+from econgs_bench.reports.sections.paper.tables import paper_tables
+from econgs_bench.reports.sections.races.conclusion import of_report as races_of
+from econgs_bench.reports.sections.rates.conclusion import of_report as rates_of
 from econgs_bench.reports.style import label
 from econgs_bench.reports.tables.protocols import by_protocol
 
@@ -113,12 +116,12 @@ def test_a_clean_store_has_no_remark_and_compares_all(clean) -> None:
     report = Report(build_tables(clean, Registry().specs, write=False))
     assert report.remarks == []
     assert report.tables["differences"].empty
-    (contest,) = report.contests
+    (contest,) = contest_of(report)
     for each in CRITERIA:
         cells = contest.values(each.column).cells
         assert not cells or set(cells[OURS]["vortex_views"]) == set(SCENES)
-    assert {len(race.fronts) for race in report.races} == {2}
-    (difference,) = report.differences
+    assert {len(race.fronts) for race in races_of(report)} == {2}
+    (difference,) = rates_of(report)
     assert difference.rate is not None
     assert difference.rate_interval is not None
 
@@ -133,13 +136,13 @@ def test_renderers_that_agree_are_one_truth() -> None:
 def test_conclusions_leave_it_out(planted) -> None:
     """Contest, races, curves, means: pictures and times are compared where their own rule allows it."""
     case, _, report = planted
-    pictures = [_compared(contest.values("psnr").cells) for contest in report.contests]
-    times = [_compared(contest.values("fps").cells) for contest in report.contests]
+    pictures = [_compared(contest.values("psnr").cells) for contest in contest_of(report)]
+    times = [_compared(contest.values("fps").cells) for contest in contest_of(report)]
     assert any(pictures) == case.pictures
     assert any(times) == case.times
-    races = {len(race.fronts) for race in report.races if race.discipline.column == "size_bytes"}
+    races = {len(race.fronts) for race in races_of(report) if race.discipline.column == "size_bytes"}
     assert (2 in races) == (case.pictures and not case.words.startswith("scenes"))
-    rates = [one for one in report.differences if one.rate is not None or one.psnr is not None]
+    rates = [one for one in rates_of(report) if one.rate is not None or one.psnr is not None]
     assert bool(rates) == case.pictures
 
 

@@ -10,7 +10,7 @@ from econgs_bench.bench.suites.edits import edits_of
 from econgs_bench.bench.suites.suite import VIEWS, load_suite, names
 from econgs_bench.datasets.catalogue import list_datasets
 from econgs_bench.datasets.errors import DataError, UnknownName
-from econgs_bench.reports.paper.layouts import layouts, published_as, takes
+from econgs_bench.reports.sections.paper.layouts import layouts, published_as, takes
 from tests.bench.conftest import plan, suite_file
 
 BUILT_IN = {info.name for info in list_datasets() if info.kind == "procedural"}

@@ -26,7 +26,7 @@ from econgs_bench.methods import reference
 from econgs_bench.methods.interface import HasAttributes, HasDecoders
 from econgs_bench.methods.options import resolve
 from econgs_bench.methods.registry import Registry
-from econgs_bench.reports.charts.report import Report
+from econgs_bench.reports.report import Report
 
 from .conftest import SMALL, suite_file
 

@@ -13,7 +13,7 @@ from econgs_bench.bench.results.tables import build_tables
 from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.seals import sealed, unsealed
-from econgs_bench.reports.pictures.strips import views_of_jobs
+from econgs_bench.reports.sections.ladders.strips import views_of_jobs
 from tests.bench.conftest import Bench, plan, suite_file, write_dataset
 
 

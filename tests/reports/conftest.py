@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from econgs_bench.reports.charts.report import Report
+from econgs_bench.reports.report import Report
 from econgs_bench.reports.schema import TABLES, frame
 
 NO_LPIPS = "lpips_vgg: backbone weights missing: put vgg16-397923af.pth into ~/.cache/torch/hub/checkpoints"

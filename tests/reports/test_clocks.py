@@ -8,7 +8,15 @@ import pytest
 from econgs_bench.reports.clocks import BUSY, SPREAD, Clocks, decoding
 from econgs_bench.reports.comparability import compared
 from econgs_bench.reports.schema import frame
-from tests.reports.conclusions.test_answers import DRAWING, TRAINING, contest, measured, pair, row, table
+from tests.reports.sections.answers.test_conclusion import (
+    DRAWING,
+    TRAINING,
+    contest,
+    measured,
+    pair,
+    row,
+    table,
+)
 
 EVEN = {"fps_p05": 80.0, "fps_p95": 120.0}
 QUIET = [row("a", 30.0, scene=f"s{i}", **EVEN) for i in range(5)]

@@ -10,15 +10,16 @@ import pytest
 from econgs_bench.reports.__main__ import main
 from econgs_bench.reports.files import write_files
 from econgs_bench.reports.inputs import NEEDED, Unusable, read_results
-from econgs_bench.reports.paper import documents as paper_documents
-from econgs_bench.reports.paper import tables as papers
-from econgs_bench.reports.paper.values import NOT_MEASURED
 from econgs_bench.reports.schema import COLUMNS, TABLES, frame
-from econgs_bench.reports.tables.documents import tex, to_csv, to_latex
+from econgs_bench.reports.sections.paper import documents as paper_documents
+from econgs_bench.reports.sections.paper import tables as papers
+from econgs_bench.reports.sections.paper.values import NOT_MEASURED
+from econgs_bench.reports.tables.documents import to_csv, to_latex
 from econgs_bench.reports.tables.ranks import UNDECIDED_NOTE
+from econgs_bench.reports.tables.table import tex
 from tests.reports.conftest import fill
 from tests.reports.page.test_page import content
-from tests.reports.paper.test_paper_tables import four, paper_tables, results, row, seen, waves
+from tests.reports.sections.paper.test_paper_tables import four, paper_tables, results, row, seen, waves
 
 
 def written(maker):

@@ -4,9 +4,10 @@ import pytest
 from scipy import stats
 
 from econgs_bench.reports.statistics import Views, block_length, bootstrap_means, interval
-from econgs_bench.reports.tables.confidence import ends, signed
-from econgs_bench.reports.tables.documents import tex, to_latex, to_markdown
-from econgs_bench.reports.tables.ranks import UNDECIDED, UNDECIDED_NOTE, ranks
+from econgs_bench.reports.style import ends, signed
+from econgs_bench.reports.tables.documents import to_latex, to_markdown
+from econgs_bench.reports.tables.ranks import UNDECIDED_NOTE, ranks
+from econgs_bench.reports.tables.table import UNDECIDED, tex
 
 
 def autoregressive(rng, count, n, rho):

@@ -16,7 +16,8 @@ import pytest
 from econgs_bench.reports.charts import files
 from econgs_bench.reports.charts.chart import Axis, Chart, Panel
 from econgs_bench.reports.inputs import read_results
-from econgs_bench.reports.tables.documents import tex, to_csv, to_markdown
+from econgs_bench.reports.tables.documents import to_csv, to_markdown
+from econgs_bench.reports.tables.table import tex
 from econgs_bench.reports.text import (
     csv_cell,
     csv_text,

@@ -8,18 +8,34 @@
   const heads = Array.from(table.tHead.rows[0].cells);
   // In any order, scenes precede the means of their dataset, and composed and edited scenes follow them.
   const ranks = { scene: 0, mean: 1, composed: 2, edited: 3 };
-  const rows = Array.from(table.querySelectorAll("tr.row"), (tr, index) => ({
-    tr, index, body: tr.parentNode, data: tr.dataset, detail: null,
-    kind: tr.classList[1], button: tr.cells[0].firstChild,
-  }));
-  rows.forEach((row) => { row.text = `${row.data.dataset} ${row.tr.textContent}`.toLowerCase(); });
+  const word = (one) => (typeof one === "number" ? details.words[one] : one);
+  const methods = $("[data-filter=method]").options;
+  const rows = Array.from(table.querySelectorAll("tr.row"), (tr, index) => {
+    const kind = tr.classList[1], { dataset } = tr.parentNode.dataset;
+    const data = {
+      dataset, method: methods[+tr.dataset.m + 1].value, key: tr.dataset.key || word(details.rows[index][0]),
+      status: tr.dataset.status || (kind === "mean" ? "mean" : "ok"),
+    };
+    const button = tr.cells[0].firstChild, text = `${dataset} ${tr.textContent}`.toLowerCase();
+    button.setAttribute("aria-expanded", false);
+    const name = document.createElement("span");
+    name.className = "ds";
+    name.textContent = `${dataset} / `;
+    button.prepend(name);
+    Object.assign(tr.dataset, { dataset, key: data.key });
+    return { tr, index, body: tr.parentNode, data, detail: null, kind, button, text };
+  });
+  for (const hint of table.querySelectorAll("abbr[data-w]")) hint.title = details.reasons[hint.dataset.w];
   const byElement = new Map(rows.map((row) => [row.tr, row]));
   const flatBody = table.createTBody();
   let sorted = { column: -1, direction: 0 };
 
   function value(row, column) {
     const cell = row.tr.cells[column];
-    if (heads[column].classList.contains("r")) return cell.dataset.v === undefined ? null : +cell.dataset.v;
+    if (heads[column].classList.contains("r")) {
+      const number = parseFloat(cell.dataset.v || cell.textContent.replaceAll(",", ""));
+      return Number.isNaN(number) ? null : number;
+    }
     return cell.textContent.trim();
   }
 
@@ -90,8 +106,7 @@
     const cell = line.insertCell();
     cell.colSpan = heads.length;
     const list = document.createElement("dl");
-    details.rows[row.index].forEach((word, i) => {
-      const text = details.words[word];
+    details.rows[row.index].map(word).forEach((text, i) => {
       if (!text) return;
       const pair = document.createElement("div");
       const name = document.createElement("dt"), value = document.createElement("dd");

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from econgs_bench.reports.charts import data, files, kinds, svg
+from econgs_bench.reports.charts import files, svg
 from econgs_bench.reports.charts.chart import (
     Axis,
     Chart,
@@ -19,10 +19,11 @@ from econgs_bench.reports.charts.chart import (
     linear_axis,
     log_axis,
 )
-from econgs_bench.reports.charts.elements import Section, annotated, card
 from econgs_bench.reports.charts.labels import overlap, place_labels, text_width
+from econgs_bench.reports.sections.parts.chart import ledger, ledger_chart
+from econgs_bench.reports.sections.section import Section, card, to_html
 from econgs_bench.reports.style import MARKERS, Look
-from tests.reports.charts.test_charts import texts, tradeoff
+from tests.reports.sections.test_sections import texts, tradeoff
 
 SVG = "{http://www.w3.org/2000/svg}"
 LOOK = Look("#0072B2", "circle", "solid")
@@ -168,12 +169,10 @@ def test_a_section_of_the_page_has_the_remarks_of_its_charts_once():
         name: Chart([Panel("t", axis, axis)], note=note)
         for name, note in zip("abc", ("<x>", "", "<x>"), strict=True)
     }
-    assert (
-        annotated(Section("s", "S", "<p>words</p>", charts)).html
-        == '<p>words</p><p class="note">&lt;x&gt;</p>'
-    )
-    bare = Section("s", "S", "<p>words</p>", {"b": charts["b"]})
-    assert annotated(bare) == bare
+    html = to_html(Section("s", "S", words="words", charts=charts, layout=False))
+    assert html == '<p>words</p><p class="note">&lt;x&gt;</p>'
+    bare = Section("s", "S", words="words", charts={"b": charts["b"]}, layout=False)
+    assert to_html(bare) == "<p>words</p>"
 
 
 def test_room_for_labels_is_kept_free():
@@ -291,7 +290,7 @@ def test_charts_of_any_number_of_bars_and_panels(maker):
     for size in (bars.head(1), bars, bars.assign(variant="an_option=with a very long value," * 4)):
         every = pd.concat([size, *(size.assign(part=f"part {i}", job=f"{i}") for i in range(9))])
         for table in (size, every):
-            chart = kinds.ledger(*data.ledger(table))
+            chart = ledger_chart(*ledger(table))
             (panel,) = chart.panels
             parse(svg.file(chart))
             assert panel.box[0] >= max(text_width(text) for _, text in panel.y.ticks)

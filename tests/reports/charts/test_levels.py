@@ -4,12 +4,14 @@ import re
 
 import pytest
 
-from econgs_bench.reports.charts import data, kinds, svg
+from econgs_bench.reports.charts import svg
 from econgs_bench.reports.charts.chart import Axis, Panel, linear_axis
 from econgs_bench.reports.charts.levels import with_floor
-from econgs_bench.reports.charts.report import Report
-from econgs_bench.reports.charts.sections import charts
+from econgs_bench.reports.charts.tradeoff import tradeoff_chart
 from econgs_bench.reports.floors import Floor
+from econgs_bench.reports.report import Report
+from econgs_bench.reports.sections.order import charts
+from econgs_bench.reports.sections.tradeoffs.table import tradeoffs
 
 AXIS = Axis("PSNR [dB]", 20.0, 40.0)
 PLAIN = Panel("t", linear_axis([0.0, 1.0], "x"), AXIS)
@@ -71,9 +73,7 @@ def filled(maker, floors):
     return maker.report()
 
 
-@pytest.mark.parametrize(
-    "name", ["psnr-size", "psnr-fps", "rate-distortion", "race-train", "race-size", "anytime-psnr"]
-)
+@pytest.mark.parametrize("name", ["psnr-size", "psnr-fps", "race-train", "race-size", "anytime-psnr"])
 def test_every_chart_of_psnr_has_the_mean_floor_of_its_scenes(maker, name):
     found = dict(charts(filled(maker, [(50.0, 28.0), (60.0, 32.0)])))
     (panel,) = found[name].panels
@@ -97,8 +97,8 @@ def test_the_chart_that_decides_has_it_relative_to_the_reference(maker):
 
 def test_a_scene_without_a_floor_leaves_the_mean_without_a_line(maker):
     report = filled(maker, [(50.0, 28.0), None])
-    panels = data.tradeoff(report.at_shared_seeds, "size_bytes")
-    (panel,) = kinds.tradeoff(panels, "size_bytes", report.models).panels
+    panels = tradeoffs(report.at_shared_seeds, "size_bytes")
+    (panel,) = tradeoff_chart(panels, report.models).panels
     assert panel.levels == ()
 
 

@@ -1,20 +1,26 @@
 """What colors, markers and legends stand for; charts of many variants and of several presets."""
 
+import json
 import re
 
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.signal import find_peaks
 from scipy.spatial.distance import pdist
 from skimage.color import rgb2lab
 
 from econgs_bench.methods.registry import Registry
 from econgs_bench.reports import markup, style
-from econgs_bench.reports.charts import data, features, kinds, parts, svg, training
-from econgs_bench.reports.charts.elements import legend
+from econgs_bench.reports.charts import svg
 from econgs_bench.reports.charts.labels import text_width
-from econgs_bench.reports.page import results as results_table
+from econgs_bench.reports.charts.lines import Line, lines
+from econgs_bench.reports.sections import order
+from econgs_bench.reports.sections.anytime.table import anytime
+from econgs_bench.reports.sections.parts import chart as wholes
+from econgs_bench.reports.sections.parts import families as parts
+from econgs_bench.reports.sections.rates.conclusion import of_report
+from econgs_bench.reports.sections.results import section as results_table
+from econgs_bench.reports.sections.section import Page, legend
 from econgs_bench.reports.style import (
     MOST_NAMED,
     OTHERS,
@@ -25,17 +31,13 @@ from econgs_bench.reports.style import (
     looks,
     named,
 )
-from tests.reports.charts.test_charts import (
+from tests.reports.sections.test_sections import (
     curve_table,
-    features_table,
-    losses,
-    rates,
     sections,
     texts,
     tradeoff,
     tradeoff_data,
 )
-from tests.reports.conftest import settings
 
 ECONGS, CLOUD, HAC = Model("econgs"), Model("3dgs", "start=cloud"), Model("hac")
 MODELS = [ECONGS, *(Model("econgs", f"features={i}") for i in range(20)), CLOUD, HAC]
@@ -146,11 +148,14 @@ def test_a_legend_shows_marker_and_dash(maker):
 
 
 def test_the_legend_of_lines_is_what_is_drawn():
-    rows = [(f"{m}{s}", s, m, i, float(i), 30.0 + i, None, "") for m in ("a", "b", "c") for s in "wxyz"
-            for i in (1, 2)]  # fmt: skip
-    curve = curve_table(rows)
     names = [Model("other"), Model("a"), Model("b"), Model("b", "x=1"), Model("c")]
-    chart = kinds.lines(training.convergence(curve, "iteration"), "", "", names)
+    drawn = {
+        "d": [
+            Line(names[i], name, [1.0, 2.0], [30.0, 31.0 + i]) for i, name in ((1, "a"), (2, "b"), (4, "c"))
+        ]
+        * 3
+    }
+    chart = lines(drawn, "", "", names)
     assert set(chart.legend.values()) == {line.look for line in chart.panels[0].series}
     assert list(chart.legend) == ["a", "b", "c"]
     swatches = [svg.swatch(look(each, names)) for each in names]
@@ -160,10 +165,8 @@ def test_the_legend_of_lines_is_what_is_drawn():
 @pytest.mark.parametrize(("count", "labels"), [(6, 6), (7, 0)])
 def test_lines_are_named_at_their_ends_or_in_a_legend(count, labels):
     names = [Model(f"m{i}") for i in range(count)]
-    curves = [
-        training.Curve(name, name.method, [1.0, 10.0], [30.0, 31.0 + i]) for i, name in enumerate(names)
-    ]
-    chart = kinds.lines({"d": curves}, "", "", names)
+    curves = [Line(name, name.method, [1.0, 10.0], [30.0, 31.0 + i]) for i, name in enumerate(names)]
+    chart = lines({"d": curves}, "", "", names)
     assert len(chart.panels[0].labels) == labels
     assert len(chart.legend) == (0 if labels else count)
 
@@ -175,8 +178,9 @@ def test_page_legends_name_only_what_is_drawn(maker):
     tables = maker.tables()
     tables["curve"].loc[tables["curve"]["method"] == "hac", "psnr"] = None
     html = sections(tables)
-    for anchor in ("convergence", "anytime"):
-        assert re.findall(r"</svg> ([^<]+)</span>", html[anchor]) == ["3DGS", "ECoNGS-R"]
+    texts = re.findall(r"<text [^>]*>([^<]+)</text>", html["anytime"])
+    assert {"3DGS", "ECoNGS-R"} <= set(texts)
+    assert "HAC" not in texts
 
 
 def test_the_page_names_the_lines_over_complexity(maker):
@@ -184,7 +188,8 @@ def test_the_page_names_the_lines_over_complexity(maker):
         maker.run(method="3dgs", dataset=f"blobs_{count}")
         maker.run(method="econgs", dataset=f"blobs_{count}")
     html = sections(maker.tables())["complexity"]
-    assert re.findall(r"</svg> ([^<]+)</span>", html) == ["3DGS", "ECoNGS-R"]
+    names = re.findall(r"<text [^>]*>([^<]+)</text>", html)
+    assert names.count("3DGS") == names.count("ECoNGS-R") == 3, "at the ends of the lines of each chart"
 
 
 def test_the_front_is_named_among_many_variants_and_the_rest_is_gray(maker):
@@ -216,22 +221,11 @@ def test_rates_and_training_are_not_compared_across_presets(maker):
             maker.run(method="hac", variant=variant, preset=preset, psnr=psnr + gain,
                       size=int(1 / weight) << 10, views=0)  # fmt: skip
     titles = ["vortex · quick", "vortex · paper"]
-    assert maker.report().differences == []
-    assert [panel.title for panel in rates(maker)] == titles
+    assert of_report(maker.report()) == []
+    assert [panel.title for panel in tradeoff_data(maker)] == titles
     rows = [("j", "s", "econgs", i, float(i), 30.0 + i, 9, '{"image": 0.1, "x": 0.1}') for i in (1, 2)]
     curve = pd.concat([curve_table(rows), curve_table(rows).assign(preset="paper", job="k")])
-    assert list(training.convergence(curve, "iteration")) == ["d · quick", "d · paper"]
-    assert list(training.anytime(curve, maker.tables()["results"], "psnr")) == ["d · quick", "d · paper"]
-    assert [panel.dataset for panel in losses(curve)] == ["d · quick", "d · paper"]
-
-
-def test_single_sizes_of_variants_are_not_in_the_chart_of_rates(maker):
-    many_variants(maker)
-    maker.run(method="3dgs", variant="start=cloud", psnr=33.0, views=0)
-    for rate, size in ((64, 1 << 20), (256, 2 << 20)):
-        maker.run(method="ivr-gs", rate=rate, psnr=30.0 + rate / 100, size=size, views=0)
-    (curves,) = data.rate_panels(maker.report().curves).values()
-    assert [curve.title for curve in curves] == ["ECoNGS-R", "HAC", "3DGS [start=cloud]", "iVR-GS"]
+    assert list(anytime(curve, maker.tables()["results"])) == ["d · quick", "d · paper"]
 
 
 def test_every_row_of_the_page_has_a_key_of_its_own(maker):
@@ -240,7 +234,12 @@ def test_every_row_of_the_page_has_a_key_of_its_own(maker):
             for scene in "ab":
                 maker.run(scene=scene, preset=preset, seed=seed, views=0)
     maker.run(split="val", views=0)
-    keys = re.findall('data-key="([^"]*)"', results_table.section(maker.report()))
+    report = maker.report()
+    page = Page(report, order.family(report), folder=maker.root)
+    html = results_table.section(page).html
+    details = json.loads(re.search(r'id="details">(.*?)</script>', html)[1])
+    jobs = [row[0] for row in details["rows"] if isinstance(row[0], str)]
+    keys = [*re.findall('data-key="([^"]*)"', html), *jobs]
     assert len(keys) == len(set(keys)) == 8 + 2 + 1 + 1
     lines = [line for panel in tradeoff_data(maker) for line in panel.lines]
     assert {key for line in lines for spot in (*line.means, *line.scenes) for key in spot.keys} <= set(keys)
@@ -259,7 +258,7 @@ def ledger(**methods):
 
 
 def bars(table):
-    return kinds.ledger(*data.ledger(table))
+    return wholes.ledger_chart(*wholes.ledger(table))
 
 
 def test_a_part_has_its_color_whatever_else_is_in_the_chart():
@@ -280,7 +279,7 @@ def test_all_families_look_different():
 
 def test_parts_of_a_family_are_one_and_small_ones_are_the_rest():
     table = ledger(a={"sh_dc": 300, "sh_rest": 600, "positions": 95, "header": 5, "codebooks": 4})
-    (bar,), families = data.ledger(table)
+    (bar,), families = wholes.ledger(table)
     assert families == ["positions", "color", "other"]
     assert bar.amounts == {"positions": 95, "color": 900, "other": 9}
     _, color, other = bars(table).panels[0].bars
@@ -288,62 +287,22 @@ def test_parts_of_a_family_are_one_and_small_ones_are_the_rest():
     assert "codebooks: " in other.about
 
 
-def test_a_part_of_the_loss_has_one_color_in_all_panels():
-    both, one = '{"image": 0.1, "color": 0.05, "rate": 0.01}', '{"image": 0.1, "rate": 0.01}'
-    rows = [(m, "s", m, i, 1.0, 30.0, None, text) for m, text in (("a", both), ("b", one)) for i in (1, 2)]
-    panels = kinds.losses(losses(curve_table(rows))).panels
-    colors = [{part.title: part.look.color for part in panel.series} for panel in panels]
-    assert colors[1] == {name: shade for name, shade in colors[0].items() if name != "color"}
-    assert len(set(colors[0].values())) == 4
-
-
-def test_losses_of_many_variants_are_those_of_the_default():
-    text = '{"image": 0.1, "rate": 0.01}'
-    variants = ["", *(f"hidden={i}" for i in range(MOST_NAMED))]
-    each = [
-        curve_table([(f"j{v}", "s", "econgs", i, 1.0, 30.0, None, text) for i in (1, 2)]).assign(variant=v)
-        for v in variants
-    ]
-    assert [panel.title for panel in losses(pd.concat(each))] == ["ECoNGS-R"]
-    assert len(losses(pd.concat(each[:MOST_NAMED]))) == MOST_NAMED
-
-
-def test_titles_of_panels_are_broken_before_they_are_cut():
-    rows = [("j", "s", "econgs", i, 1.0, 30.0, None, '{"image": 0.1, "rate": 0.01}') for i in (1, 2)]
-    table = curve_table(rows).assign(variant="decoder_precision=float32", dataset="a dataset of a long name")
-    chart = kinds.losses(losses(table))
+def test_titles_of_panels_are_broken_before_they_are_cut(maker):
+    name = "a dataset of a name that is much longer than its panel is wide"
+    maker.run(name, method="3dgs", views=0)
+    maker.run(name, method="hac", psnr=30.0, views=0)
+    chart = tradeoff(maker)
     (panel,) = chart.panels
-    document = svg.file(chart)
-    lines = re.findall(r'stroke-width="0.4">([^<]+)<', document)
-    assert " ".join(lines) == panel.title
+    lines = re.findall(r'stroke-width="0.4">([^<]+)<', svg.file(chart))
+    assert " ".join(lines) == panel.title == name
+    assert len(lines) > 1
     assert max(map(text_width, lines)) < panel.width
-
-
-# --------------------------------------------------------------------------- attributes
-
-
-def test_quantised_values_are_no_comb():
-    values = np.random.default_rng(0).normal(0.0, 0.1, 20_000)
-    table = features_table().head(1).assign(values=[np.round(values / 0.047) * 0.047])
-    (panel,) = features.histograms(table)
-    shares = np.array(panel.shares[ECONGS])
-    assert len(find_peaks(np.pad(shares, 1), prominence=0.05 * shares.max())[0]) <= 3
-    counted = np.histogram(values, panel.edges)[0] / 200
-    assert np.abs(shares - counted).sum() < 12  # percent: what the values were before
-
-
-def test_histograms_of_many_variants_show_the_default():
-    variants = ["", *(f"features={i}" for i in range(12))]
-    table = pd.concat([features_table().head(1).assign(**settings(variant)) for variant in variants])
-    assert list(features.histograms(table)[0].shares) == [ECONGS]
-    presets = pd.concat([table, table.assign(preset="paper")])
-    assert [panel.dataset for panel in features.histograms(presets)] == ["d · quick", "d · paper"]
 
 
 def test_the_page_lifts_the_colors_that_would_drown_on_dark():
     rules = svg.theme()
     for light, dark in style.DARK.items():
-        assert rules.count(f"light-dark({light},{dark})") == 4 / 2
+        assert rules.count(f"light-dark({light},{dark})") == 4 / 2 + 1
 
 
 def test_dots_of_methods_in_tables_have_their_markers():
@@ -358,4 +317,6 @@ def test_dots_of_methods_in_tables_have_their_markers():
     row = {"method": "plenoxels", "variant": "", "rate": None}
     black = style.LOOKS["plenoxels"]
     assert markup.method(row, [Model("plenoxels")]).startswith(markup.dot(black))
-    assert f"light-dark({black.color},{style.DARK[black.color]})" in markup.dot(black)
+    place = style.PALETTE.index(black.color)
+    assert f".dot.c{place} {{ background: light-dark({black.color},{style.DARK[black.color]})" in rules
+    assert f" c{place}" in markup.dot(black)

@@ -39,7 +39,7 @@ def write(maker: Maker) -> Path:
     with (
         patch.object(page_module, "write_files"),
         patch.object(page_module.chart_files, "output", return_value=nullcontext(Mock())),
-        patch.object(page_module.verdicts, "section", return_value=""),
+        patch.object(page_module, "paper_tables", return_value=[]),
         patch.object(panel_files, "write", return_value="panel"),
     ):
         return page_module.write_report(maker.tables(), maker.root, maker.root / "report.html")

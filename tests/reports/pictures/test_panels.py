@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from econgs_bench.reports.page import scenes
+from econgs_bench.reports.family import Family
 from econgs_bench.reports.pictures import panel_files
 from econgs_bench.reports.pictures.cieluv import cieluv, linear
 from econgs_bench.reports.pictures.difference import colored, largest_window, scale
 from econgs_bench.reports.pictures.files import read
 from econgs_bench.reports.pictures.panels import choose, models, panels
+from econgs_bench.reports.sections.pictures import section as scenes
+from econgs_bench.reports.sections.section import Page
 from tests.reports.conftest import frame
 
 # Machado, Oliveira and Fernandes (2009), severity 1, on linear RGB.
@@ -34,6 +36,12 @@ def views(**psnr: list[float]):
         for i, value in enumerate(values)
     ]
     return frame("views", rows)
+
+
+def html(maker):
+    """The section of pictures."""
+    report = maker.report()
+    return scenes.section(Page(report, Family(), root=maker.root, folder=maker.root)).html
 
 
 def panels_of(maker):
@@ -162,12 +170,12 @@ def test_the_color_blind_can_read_the_scale(kind):
 def test_where_room_is_short_median_views_stay(maker):
     for scene in "abc":
         maker.run(scene=scene, views=3)
-    whole = scenes.section(maker.report(), maker.root, maker.root)
+    whole = html(maker)
     assert whole.count("Median view") == whole.count("Worst view") == 3
     assert '<p class="note">' not in whole
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(scenes, "PICTURE_BYTES", len(whole) * 2 // 3)
-        page = scenes.section(maker.report(), maker.root, maker.root)
+        page = html(maker)
     assert page.count("Median view") == 3
     assert 0 < page.count("Worst view") < 3
     (note,) = re.findall(r'<p class="note">(.*?)</p>', page)
@@ -176,7 +184,7 @@ def test_where_room_is_short_median_views_stay(maker):
 
 def test_composed_scenes_are_shown_and_named(maker):
     maker.run(scene="both", kind="composed", views=2)
-    page = scenes.section(maker.report(), maker.root, maker.root)
+    page = html(maker)
     assert re.search(r"<h3>[^<]*both <span[^>]*>composed</span>", page)
     assert page.count('<figure class="card panel"') == 2
 
@@ -184,23 +192,24 @@ def test_composed_scenes_are_shown_and_named(maker):
 def test_captions_of_panels_for_papers_end_at_their_picture(maker):
     maker.run(views=1)
     (panel,) = panels_of(maker)
-    axes = panel_files.draw([replace(panel, which="lowest", view="test_003")], "x").axes[0]
-    (caption,) = [text for text in axes.texts if text.get_text().startswith("lowest")]
-    (values,) = [text for text in axes.texts if " dB" in text.get_text()]
-    assert caption.get_window_extent().x1 < values.get_window_extent().x0
+    sheet = panel_files.draw([replace(panel, which="lowest", view="test_003")], "x")
+    (caption,) = [box for text, box in sheet.texts if text.startswith("lowest")]
+    (values,) = [box for text, box in sheet.texts if " dB" in text]
+    assert caption[2] < values[0]
 
 
 def test_long_names_in_panels_for_papers_keep_off_their_neighbours_and_pictures(maker):
     for variant in ("configuration=paper random_half_extent=0.5", "storage=explicit"):
         maker.run(variant=variant, views=1)
     (panel,) = panels_of(maker)
-    axes = panel_files.draw([panel], "x").axes[0]
-    names = [text.get_window_extent() for text in axes.texts if text.get_text().startswith("3DGS")]
-    assert "random_half_extent=0.5" in "".join(text.get_text() for text in axes.texts).replace("\n", "")
-    assert len(names) == 2
-    assert names[0].x1 < names[1].x0
-    top = max(axes.transData.transform((0, image.get_extent()[3]))[1] for image in axes.images)
-    assert all(top < name.y0 < name.y1 < axes.figure.bbox.y1 for name in names)
+    sheet = panel_files.draw([panel], "x")
+    top = min(box[1] for box in sheet.pictures)
+    names = [(text, box) for text, box in sheet.texts if box[3] < top and text != "Ground truth"]
+    assert "random_half_extent=0.5" in "".join(text for text, _ in names)
+    columns = sorted({box[0] for _, box in names})
+    assert len(columns) == 2
+    assert max(box[2] for _, box in names if box[0] == columns[0]) < columns[1]
+    assert all(0.0 < box[1] < box[3] < top for _, box in names)
 
 
 def test_panels_for_papers_have_odd_names_and_failed_models(maker):
@@ -212,5 +221,5 @@ def test_panels_for_papers_have_odd_names_and_failed_models(maker):
     assert (maker.root / "charts" / f"{name}.pdf").read_bytes().startswith(b"%PDF")
     with Image.open(maker.root / "charts" / f"{name}.png") as image:
         assert image.width > 600
-    texts = [text.get_text() for text in panel_files.draw(of_scene, "x").axes[0].texts]
+    texts = [text for text, _ in panel_files.draw(of_scene, "x").texts]
     assert {"Ground truth", "3DGS", "HAC", "oom", "median view, 0000", "worst view, 0001"} <= set(texts)

@@ -1,1 +1,0 @@
-"""What a report's tables say about the methods: which is best at what, by how much, and if significantly."""

@@ -1,0 +1,133 @@
+"""How much better one method is than another, with an interval over scenes and seeds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from econgs_bench.reports.statistics import Error, Variance
+
+Cells = dict[str, dict[str, dict[Any, float]]]
+"""Dataset -> scene -> seed -> value, of one method."""
+LEAST_DATASETS = 3
+"""Datasets from which their differences are the sample; with fewer it is the scenes."""
+
+
+@dataclass(frozen=True)
+class Effect:
+    """The mean paired difference of two methods; positive where the first is better.
+
+    Attributes:
+        mean: mean over datasets of the mean over their scenes and seeds; of ratios the natural logarithm.
+        half: half width of the 95 % interval; None where neither datasets, scenes nor seeds repeat.
+        p: two-sided p-value of Student's t with the same standard error; None as ``half``.
+        wins: number of datasets on which the first is better.
+        datasets, scenes: that were compared.
+        seeds: least and largest number of common seeds of a scene.
+        ratio: whether ``mean`` and ``half`` are logarithms.
+    """
+
+    mean: float
+    half: float | None
+    p: float | None
+    wins: int
+    datasets: int
+    scenes: int
+    seeds: tuple[int, int]
+    ratio: bool
+
+    @property
+    def ends(self) -> tuple[float, float] | None:
+        """The interval, of a ratio as factors."""
+        if self.half is None:
+            return None
+        low, high = self.mean - self.half, self.mean + self.half
+        return (math.exp(low), math.exp(high)) if self.ratio else (low, high)
+
+
+def effect(first: Cells, second: Cells, better: int, ratio: bool) -> Effect | None:
+    """Compare two methods on the datasets, scenes and seeds that both have; None if there are none.
+
+    The sampling variance is that of the datasets' means if there are at least three, else that of the scenes
+    within each dataset; with several common seeds, that of the seeds' means is added. Both count the noise
+    that scenes and seeds share, so the interval is rather too wide.
+
+    Args:
+        first: values of a method, by dataset, scene and seed. Ratios need positive ones.
+        second: those of the other.
+        better: 1 if higher is better, -1 if lower is.
+        ratio: compare by quotient instead of difference.
+    """
+    differences = {
+        dataset: scenes
+        for dataset in first
+        if dataset in second and (scenes := _differences(first[dataset], second[dataset], better, ratio))
+    }
+    if not differences:
+        return None
+    of_scenes = [[_mean(seeds.values()) for seeds in scenes.values()] for scenes in differences.values()]
+    of_datasets = [_mean(values) for values in of_scenes]
+    mean = _mean(of_datasets)
+    terms = [
+        _sampling([of_datasets]) if len(of_datasets) >= LEAST_DATASETS else _sampling(of_scenes),
+        _sampling([_of_seeds(differences)]),
+    ]
+    counts = [len(seeds) for scenes in differences.values() for seeds in scenes.values()]
+    known = [term for term in terms if term is not None]
+    error = Error.of(known) if known else None
+    return Effect(
+        mean,
+        error.half if error is not None else None,
+        error.p_value(mean) if error is not None else None,
+        sum(value > 0 for value in of_datasets),
+        len(of_datasets),
+        sum(map(len, of_scenes)),
+        (min(counts), max(counts)),
+        ratio,
+    )
+
+
+def _differences(
+    first: dict[str, dict[Any, float]], second: dict[str, dict[Any, float]], better: int, ratio: bool
+) -> dict[str, dict[Any, float]]:
+    """Scene -> seed -> difference; the scenes' means under the seed None where no seed is common."""
+
+    def value(number: float) -> float:
+        return better * (math.log(number) if ratio else number)
+
+    scenes: dict[str, dict[Any, float]] = {}
+    for scene in first:
+        if scene in second:
+            a, b = first[scene], second[scene]
+            common = [seed for seed in a if seed in b]
+            scenes[scene] = {seed: value(a[seed]) - value(b[seed]) for seed in common} or {
+                None: _mean(map(value, a.values())) - _mean(map(value, b.values()))
+            }
+    return scenes
+
+
+def _of_seeds(differences: dict[str, dict[str, dict[Any, float]]]) -> list[float]:
+    """The mean over datasets and scenes of each seed that all scenes have."""
+    cells = [seeds for scenes in differences.values() for seeds in scenes.values()]
+    common = [seed for seed in cells[0] if all(seed in cell for cell in cells)]
+    return [
+        _mean(_mean(seeds[seed] for seeds in scenes.values()) for scenes in differences.values())
+        for seed in common
+    ]
+
+
+def _sampling(strata: Sequence[Sequence[float]]) -> Variance | None:
+    """Variance of the mean of some strata's means; None without repetition."""
+    repeated = [np.asarray(values) for values in strata if len(values) > 1]
+    if len(repeated) < len(strata) or not repeated:
+        return None
+    variance = sum(float(values.var(ddof=1)) / len(values) for values in repeated) / len(strata) ** 2
+    return Variance(variance, sum(len(values) - 1 for values in repeated))
+
+
+def _mean(values: Any) -> float:
+    return float(np.mean(list(values)))

@@ -1,0 +1,1 @@
+"""Which method is best at what: the first screen of the page."""

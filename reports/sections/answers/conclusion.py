@@ -1,0 +1,463 @@
+"""The answers to "which method?": one per criterion, as ranked values and as a sentence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import fmean
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from econgs_bench.reports import floors
+from econgs_bench.reports.clocks import decoding
+from econgs_bench.reports.comparability import fixed_rays
+from econgs_bench.reports.effects import LEAST_DATASETS, Cells, Effect, effect
+from econgs_bench.reports.family import Family, largest
+from econgs_bench.reports.report import Report
+from econgs_bench.reports.schema import COLUMNS
+from econgs_bench.reports.sections.answers.contest import Contest, Values, of_report
+from econgs_bench.reports.sections.ladders import table as ladder_table
+from econgs_bench.reports.sections.ladders.conclusion import Tally, tally
+from econgs_bench.reports.style import absent, counted, enumeration, label, signed
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+BEST_PICTURE = "Best picture"
+ROBUST = "Most robust"
+EDITABLE = "Can be edited"
+_MOST_NAMES = 3
+"""Methods that share a first place and are named."""
+
+
+_WIDE = 5.0
+"""Half width of an interval in dB from which it says nothing."""
+_WIDE_RATIO = math.log(10.0)
+"""The same of a ratio, as its logarithm."""
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """Something that a reader wants of a method.
+
+    Attributes:
+        title: the criterion, as a superlative.
+        column: the measured column.
+        comparative: of the better method against another.
+        unit: of a value's text, with the space before it; "" where the text has it.
+        ratio: values differ by factors.
+    """
+
+    title: str
+    column: str
+    comparative: str
+    unit: str = ""
+    ratio: bool = True
+
+    @property
+    def better(self) -> int:
+        """1 if higher is better, -1 if lower is."""
+        return COLUMNS[self.column].better
+
+    def effect(self, first: Cells, second: Cells) -> Effect | None:
+        """How much better the first method is."""
+        return effect(first, second, self.better, self.ratio)
+
+    def amount(self, difference: Effect) -> str:
+        """As "3.1 times smaller" or "0.55 dB higher"."""
+        if self.ratio:
+            return f"{_factor(math.exp(difference.mean))} times {self.comparative}"
+        return f"{difference.mean:.2f}{self.unit} {self.comparative}"
+
+    def interval(self, difference: Effect) -> str:
+        """The 95 % interval of the same; without one, what would give one."""
+        if difference.ends is None:
+            return "no interval: add seeds (`--seed 0 --seed 1 --seed 2`) or scenes"
+        wide = _WIDE_RATIO if self.ratio else _WIDE
+        if (difference.half or 0.0) > max(wide, abs(difference.mean)):
+            few = difference.datasets < LEAST_DATASETS
+            return f"{counted(difference.scenes, 'scene')} decide nothing" if few else "the datasets disagree"
+        return "95 %: " + " to ".join(
+            _factor(end) if self.ratio else signed(end, 2, False) for end in difference.ends
+        )
+
+
+CRITERIA = (
+    Criterion("Smallest", "size_bytes", "smaller", " MiB"),
+    Criterion(BEST_PICTURE, "psnr", "higher", " dB", ratio=False),
+    Criterion("Fastest to train", "train_seconds", "faster"),
+    Criterion("Fastest to draw", "fps", "faster", " FPS"),
+    Criterion("Least memory", "peak_host_bytes", "smaller", " MiB"),
+)
+
+
+@dataclass(frozen=True)
+class Place:
+    """A method's place under a criterion.
+
+    Attributes:
+        method: its name.
+        value: its figure; higher or lower is better as the criterion has it.
+        text: the figure for people, with its unit.
+        firsts: number of scenes on which no other method is better, by means over seeds.
+    """
+
+    method: str
+    value: float
+    text: str
+    firsts: int = 0
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What the tables say about one criterion.
+
+    Attributes:
+        title: the criterion.
+        places: the ranked methods, best first; empty without an answer.
+        winner: the best method, if its lead is significant; "" otherwise. A count has no test: its first one.
+        sentence: the answer for people, with its uncertainty.
+        scenes: number of scenes of which ``firsts`` of the places are counted; 0 where they are not.
+        level: the methods that share the first place, best first, where the best one's lead on them is not
+            significant; empty if there is a winner.
+    """
+
+    title: str
+    places: tuple[Place, ...]
+    winner: str
+    sentence: str
+    scenes: int = 0
+    level: tuple[str, ...] = ()
+
+    def firsts(self, place: Place) -> str:
+        """On how many scenes a method is first, for people; "" if on none, or if they are not counted."""
+        return f"first on {place.firsts} of {counted(self.scenes, 'scene')}" if place.firsts else ""
+
+    def place(self, method: str) -> tuple[Place, int] | None:
+        """A method's place and how many are ahead of it; equal values are equal."""
+        own = next((place for place in self.places if place.method == method), None)
+        return None if own is None else (own, [place.value for place in self.places].index(own.value))
+
+
+def answers(contest: Contest, results: pd.DataFrame, ladders: pd.DataFrame, family: Family) -> list[Answer]:
+    """One answer per criterion.
+
+    Args:
+        contest: the methods and rows that are compared.
+        results: the table that the contest is from; its edited scenes decide about editing.
+        ladders: the table of ladders (:mod:`.reports.sections.ladders.table`). Those that two methods climbed
+            decide about robustness; without any, worst cases do.
+        family: all leads of the page.
+    """
+    climbed = tally(ladders, contest.methods, contest.preset)
+    robust = robustness(contest) if climbed is None else stamina(climbed)
+    return [*(measured(each, contest, family) for each in CRITERIA), robust, editing(contest, results)]
+
+
+def answers_of(report: Report, family: Family) -> list[Answer]:
+    """The answers of a report's first contest; empty without one."""
+    found = of_report(report)
+    return answers(found[0], report.results, ladder_table.of_report(report), family) if found else []
+
+
+def scope(contest: Contest) -> str:
+    """What is compared, and when a lead counts."""
+    datasets = len(next(iter(contest.values("psnr").cells.values())))
+    whole = len(contest.main & set(contest.scenes))
+    rays = "".join(
+        f", {text}"
+        for text in [fixed_rays(row for row in contest.rows if row["dataset"] in contest.main)]
+        if text
+    )
+    of = counted(whole, "dataset") if datasets == whole else f"{datasets} of {counted(whole, 'dataset')}"
+    text = (
+        f"{len(contest.methods)} methods with their default options on {of}, preset {contest.preset}{rays}. "
+        "A method wins if its lead on every other is significant: Student's t over datasets (scenes of fewer "
+        "than three) and seeds, with Holm's correction over all leads of this page (answers, races, rates). "
+        "An interval is of one lead alone, without the correction. Robustness and edits are counts without a "
+        "test."
+    )
+    if datasets < whole:
+        text += " A dataset counts if all methods finished it."
+    others = sorted(contest.others.items(), key=lambda one: -one[1])
+    names = ", ".join(f"{label(name)} ({count or 'too few scenes'})" for name, count in others)
+    text += f" Not ranked, as measured on fewer: {names}." if names else ""
+    old = ", ".join(f"{label(name)} {count}" for name, count in contest.stale.items())
+    return f"{text} Stale rows, which today's methods would not make: {old}." if old else text
+
+
+def to_text(contest: Contest, answers: Iterable[Answer]) -> list[str]:
+    """The same for a terminal, a line each."""
+    width = max((len(answer.title) for answer in answers), default=0)
+    return [scope(contest), *(f"{answer.title:<{width}}  {answer.sentence}" for answer in answers)]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The methods under a criterion.
+
+    Attributes:
+        values: of the criterion's column.
+        cells: method -> its values.
+        means: method -> its mean over datasets, of means over scenes, of means over seeds; best first. Those
+            of ratios are geometric.
+        leads: of the first on each other one, in their order.
+    """
+
+    values: Values
+    cells: Mapping[str, Cells]
+    means: Mapping[str, float]
+    leads: tuple[Effect, ...]
+
+    @property
+    def p(self) -> float | None:
+        """Of the first one's lead on all others."""
+        return largest([lead.p for lead in self.leads])
+
+
+def compare(criterion: Criterion, contest: Contest) -> Comparison | None:
+    """The methods under one criterion of :data:`CRITERIA`; None where fewer than two are measured."""
+    values = contest.values(criterion.column)
+    cells = {name: own for name, own in values.cells.items() if own}
+    if len(cells) < 2:
+        return None
+    means = {name: _mean(own, criterion.ratio) for name, own in cells.items()}
+    order = sorted(means, key=lambda name: -criterion.better * means[name])
+    leads = [criterion.effect(cells[order[0]], cells[name]) for name in order[1:]]
+    assert None not in leads  # all methods have the same datasets
+    known = tuple(lead for lead in leads if lead is not None)
+    return Comparison(values, cells, {name: means[name] for name in order}, known)
+
+
+def measured(criterion: Criterion, contest: Contest, family: Family) -> Answer:
+    """The answer to one criterion of :data:`CRITERIA`: the best mean wins if its lead is significant."""
+    compared = compare(criterion, contest)
+    if compared is None:
+        remark = _caution(contest.values(criterion.column))
+        text = f"Not decided: not measured of two methods on one dataset{remark}."
+        return Answer(criterion.title, (), "", text)
+    column, values, cells, means = (
+        COLUMNS[criterion.column], compared.values, compared.cells, compared.means
+    )  # fmt: skip
+    order = list(means)
+    scenes = _by_scene(cells)
+    firsts = dict.fromkeys(order, 0)
+    for scene in scenes:
+        best = max(criterion.better * value for value in scene.values())
+        for name, value in scene.items():
+            firsts[name] += criterion.better * value == best
+    places = tuple(
+        Place(name, means[name], column.text(means[name]) + criterion.unit, firsts[name]) for name in order
+    )
+    leads = list(zip(places[1:], compared.leads, strict=True))
+    near = [(place, one) for place, one in leads if not family.significant(one.p)]
+    rival, lead = (near or leads)[0]
+    first, level = places[0], (order[0], *(place.method for place, _ in near)) if near else ()
+    if near:
+        text = f"No winner among {_listing(level)}: {label(first.method)}, {first.text}, is "
+        text += f"{criterion.amount(lead)} than {label(rival.method)} ({rival.text}; "
+    else:
+        text = f"{label(first.method)}, {first.text}: {criterion.amount(lead)} than {label(rival.method)} ("
+    remarks = [criterion.interval(lead), family.verdict(lead.p)]
+    text += (
+        f"{'; '.join(filter(None, remarks))}), better on {lead.wins} of {counted(lead.datasets, 'dataset')}; "
+    )
+    near_floor = (
+        _closeness(contest, [cells[first.method], cells[rival.method]]) if criterion.column == "psnr" else ""
+    )
+    text += f"{_seeds(lead)}{near_floor}{_caution(values)}."
+    if criterion.column == "fps" and (
+        condition := decoding(row for row in contest.rows if row["method"] in means)
+    ):
+        text += f" {condition}"
+    return Answer(criterion.title, places, "" if near else order[0], text, len(scenes), level)
+
+
+def _closeness(contest: Contest, pair: Sequence[Cells]) -> str:
+    """Where the better one of two methods comes near to the noise floor of the truth; "" nowhere."""
+    near = floors.closeness(
+        (contest.floors[dataset][scene], max(fmean(one[dataset][scene].values()) for one in pair))
+        for dataset, scenes in pair[0].items()
+        for scene in scenes
+    )
+    return f"; {near}" if near else ""
+
+
+def standing(data: Mapping[str, Iterable[Answer]], method: str) -> str:
+    """What one method wins, and where it is tied for first, for people.
+
+    Args:
+        data: title of some data -> the answers there (:func:`answers`).
+        method: its name.
+    """
+    won: dict[str, list[str]] = {}
+    first: dict[str, list[str]] = {}
+    ahead: dict[str, list[str]] = {}
+    level: dict[str, list[str]] = {}
+    for title, given in data.items():
+        for answer in given:
+            if answer.winner == method:
+                found = first if answer.title in (ROBUST, EDITABLE) else won
+                found.setdefault(answer.title, []).append(title)
+            elif method in answer.level:
+                found = ahead if answer.level[0] == method else level
+                found.setdefault(answer.title, []).append(title)
+    parts = []
+    for words, found in (
+        ("Wins", won),
+        ("First (no test)", first),
+        ("First (not significant)", ahead),
+        ("Tied for first", level),
+    ):
+        names = ", ".join(f"{title} ({', '.join(where)})" for title, where in found.items())
+        parts += [f"{words}: {names}."] if names else []
+    return " ".join(parts) or "First nowhere."
+
+
+def _by_scene(cells: Mapping[str, Cells]) -> list[dict[str, float]]:
+    """Per scene the methods' means over seeds; all methods have the same scenes."""
+    some = next(iter(cells.values()))
+    return [
+        {name: float(np.mean(list(own[dataset][scene].values()))) for name, own in cells.items()}
+        for dataset, scenes in some.items()
+        for scene in scenes
+    ]
+
+
+def stamina(climbed: Tally) -> Answer:
+    """Which method holds the most rungs of the ladders that all compared ones climbed; no winner of a tie."""
+    held, rungs = climbed.held, climbed.rungs
+    order = sorted(held, key=lambda name: -held[name])
+    places = tuple(Place(name, held[name], f"{held[name]} of {rungs} rungs") for name in order)
+    best = [name for name in order if held[name] == held[order[0]]]
+    rest = ", ".join(f"{label(name)} {held[name]}" for name in order[len(best) :])
+    subject = label(best[0]) if len(best) == 1 else f"No winner: {_listing(best)}"
+    text = f"{subject} hold{'s' if len(best) == 1 else ''} {counted(held[best[0]], 'rung')} of {rungs}"
+    text += f" on {counted(climbed.ladders, 'ladder')} from harmless to fatal"
+    text += f"; {rest}" if rest else ""
+    for name, count in climbed.others.items():
+        text += f"; {label(name)} climbed {counted(count, 'ladder')} and is not compared"
+    return Answer(ROBUST, places, best[0] if len(best) == 1 else "", f"{text}.")
+
+
+def robustness(contest: Contest) -> Answer:
+    """Which method has the mildest worst case: the fewest failures, then the smallest largest shortfall.
+
+    A method's shortfall on a scene is the distance of its PSNR, mean over seeds, to that of the best method.
+    Scenes with few training views count as well.
+    """
+    shortfalls = _shortfalls(contest)
+    if len(shortfalls) < 2:
+        return Answer(ROBUST, (), "", "Not decided: no scene was finished by two methods.")
+    farthest = {name: max(own, key=lambda scene: own[scene]) for name, own in shortfalls.items()}
+    worst = {name: (shortfalls[name][scene], scene) for name, scene in farthest.items()}
+    ranks = {name: (contest.failures[name], worst[name][0]) for name in worst}
+    order = sorted(ranks, key=lambda name: ranks[name])
+
+    def text(name: str) -> str:
+        distance, scene = worst[name]
+        behind = f"behind the best method of a scene by at most {distance:.1f} dB ({scene})"
+        failures = contest.failures[name]
+        return (behind if distance > 0 else "never behind another method") + (
+            f" and {counted(failures, 'failed fit')}" if failures else ""
+        )
+
+    places = tuple(
+        Place(name, worst[name][0], f"{-worst[name][0]:z.1f} dB".replace("-", "\N{MINUS SIGN}"))
+        for name in order
+    )
+    first, second = order[:2]
+    scenes = len(set().union(*shortfalls.values()))
+    few = len({row["requested_views"] for row in contest.rows if not absent(row["requested_views"])}) > 1
+    sentence = (
+        f"{label(first)}: {text(first)}; {label(second)}: {text(second)}. "
+        f"The worst of {counted(scenes, 'scene')}{', few training views included' if few else ''}."
+    )
+    return Answer(ROBUST, places, first if ranks[first] < ranks[second] else "", sentence)
+
+
+def _shortfalls(contest: Contest) -> dict[str, dict[str, float]]:
+    """Method -> scene -> distance to the best PSNR, where at least two methods finished."""
+    psnr: dict[str, dict[str, list[float]]] = {}
+    for row in contest.rows:
+        if row["status"] == "ok" and not absent(row["psnr"]) and row["method"] in contest.methods:
+            scene = f"{row['dataset']} / {row['scene']}"
+            psnr.setdefault(scene, {}).setdefault(row["method"], []).append(float(row["psnr"]))
+    shortfalls: dict[str, dict[str, float]] = {}
+    for scene, methods in psnr.items():
+        means = {name: float(np.mean(values)) for name, values in methods.items()}
+        for name, mean in means.items() if len(means) > 1 else ():
+            shortfalls.setdefault(name, {})[scene] = max(means.values()) - mean
+    return shortfalls
+
+
+def editing(contest: Contest, results: pd.DataFrame) -> Answer:
+    """Which method makes the most of the requested edits, and how well those that all can make."""
+    edited = results[(results["kind"] == "edited") & (results["variant"].fillna("") == "")]
+    psnr: dict[str, dict[tuple[str, ...], list[float]]] = {}
+    columns = (edited[name] for name in ("method", "dataset", "scene", "edit", "status", "psnr"))
+    for method, dataset, scene, edit, status, value in zip(*columns, strict=True):
+        own = psnr.setdefault(str(method), {}).setdefault((str(dataset), str(scene), str(edit)), [])
+        if status == "ok" and not absent(value):
+            own.append(float(value))
+    if not psnr:
+        return Answer(EDITABLE, (), "", "Not measured: no suite with edits was run (`bench run editing`).")
+    edits = set().union(*psnr.values())
+    done = {name: {edit: values for edit, values in own.items() if values} for name, own in psnr.items()}
+    able = [name for name, own in done.items() if own]
+    shared = set.intersection(*(set(done[name]) for name in able)) if able else set()
+    quality = {
+        name: float(np.mean([np.mean(done[name][edit]) for edit in shared])) if shared else -math.inf
+        for name in able
+    }
+    order = sorted(psnr, key=lambda name: (-len(done[name]), -quality.get(name, 0.0)))
+    places = tuple(Place(name, len(done[name]), f"{len(done[name])} of {len(edits)}") for name in order)
+    parts = [f"{label(place.method)} makes {place.text}" for place in places if place.value]
+    if shared and len(able) > 1:
+        values = ", ".join(f"{quality[name]:.2f} dB" for name in order if name in able)
+        parts.append(f"PSNR of the {counted(len(shared), 'edit')} that they share: {values}")
+    refusing = [name for name in order if not done[name]]
+    parts += (
+        [f"{_listing(refusing, every=True)} refuse{'s' if len(refusing) == 1 else ''} all"]
+        if refusing
+        else []
+    )
+    untried = [name for name in contest.methods if name not in psnr]
+    parts += [f"not tried: {_listing(untried, every=True)}"] if untried else []
+    alone = able and (len(able) == 1 or len(done[order[0]]) > len(done[order[1]]))
+    return Answer(EDITABLE, places, order[0] if alone else "", f"{'; '.join(parts)}.")
+
+
+def _mean(cells: Cells, ratio: bool) -> float:
+    scale = math.log if ratio else float
+    means = [
+        np.mean([np.mean([scale(value) for value in seeds.values()]) for seeds in scenes.values()])
+        for scenes in cells.values()
+    ]
+    return math.exp(float(np.mean(means))) if ratio else float(np.mean(means))
+
+
+def _factor(value: float) -> str:
+    return f"{value:.2f}" if value < 2 else f"{value:.1f}" if value < 20 else f"{value:.0f}"
+
+
+def _seeds(lead: Effect) -> str:
+    least, most = lead.seeds
+    return "one seed" if most == 1 else f"{least} seeds" if least == most else f"{least} to {most} seeds"
+
+
+def _caution(values: Values) -> str:
+    """Rows that a speed does not count."""
+    omitted = []
+    if values.elsewhere:
+        omitted.append(f"{counted(values.elsewhere, 'row')} from other processors")
+    if values.disturbed:
+        omitted.append(f"{counted(values.disturbed, 'row')} with a disturbed time")
+    return f"; without {enumeration(omitted)}" if omitted else ""
+
+
+def _listing(names: Iterable[str], every: bool = False) -> str:
+    labels = [label(name) for name in names]
+    return f"{len(labels)} methods" if len(labels) > _MOST_NAMES and not every else enumeration(labels)

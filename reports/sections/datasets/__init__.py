@@ -1,0 +1,1 @@
+"""Cost of rendering the volumes."""

@@ -1,0 +1,1 @@
+"""What bytes and frame times are made of."""

@@ -1,0 +1,1 @@
+"""The best picture at equal cost."""

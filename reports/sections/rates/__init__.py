@@ -1,0 +1,1 @@
+"""Average differences of rate-distortion curves."""

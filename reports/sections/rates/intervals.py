@@ -1,0 +1,130 @@
+"""Intervals of BD-rate and BD-PSNR over views and seeds.
+
+Near the measured curves both are linear in the PSNR of the points and in the logarithm of their bytes. So
+their variance is that of a weighted sum of the points (delta method). Such a sum has a value per view and per
+seed, as a metric has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from econgs_bench.reports.statistics import Path, Sample, shared_views
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from econgs_bench.reports.statistics import Interval, Views
+
+Delta = Callable[[list[float], list[float], list[float], list[float]], float]
+"""A number that compares two curves: from bytes and PSNR of the reference, then of the other one."""
+_STEP_PSNR, _STEP_SIZE = 1e-3, 1e-4
+"""Of derivatives, in dB and in log10 of bytes; less where points lie closer together."""
+
+
+class RatePoint(NamedTuple):
+    """A point of a curve.
+
+    Attributes:
+        psnr: mean over scenes and seeds, dB.
+        bytes: per scene, mean over seeds.
+        jobs: the jobs behind it.
+    """
+
+    psnr: float
+    bytes: float
+    jobs: tuple[str, ...]
+
+
+def interval(
+    reference: Sequence[RatePoint],
+    test: Sequence[RatePoint],
+    delta: Delta,
+    views: Views,
+    results: pd.DataFrame,
+) -> Interval | None:
+    """Interval of a number that compares two curves; None where test views are missing or not the same.
+
+    Its mean is that of the linear part alone, so only its width counts.
+
+    Args:
+        reference: points of a curve, by size.
+        test: those of another one.
+        delta: the number.
+        views: values of test views.
+        results: the documented table, with a row for each job of the points.
+    """
+    curves = (reference, test)
+    psnr = [[point.psnr for point in curve] for curve in curves]
+    size = [[float(np.log10(point.bytes)) for point in curve] for curve in curves]
+
+    def number(sizes: list[list[float]], qualities: list[list[float]]) -> float:
+        ours, theirs = ([10**value for value in values] for values in sizes)
+        return delta(ours, qualities[0], theirs, qualities[1])
+
+    by_psnr = _slopes(lambda values: number(size, values), psnr, _STEP_PSNR)
+    by_size = _slopes(lambda values: number(values, psnr), size, _STEP_SIZE)
+    parts = [
+        _part(curve, sign * by_psnr[i], sign * by_size[i], views, results)
+        for i, (curve, sign) in enumerate(zip(curves, (-1.0, 1.0), strict=True))
+    ]
+    first, second = parts
+    return None if first is None or second is None else second.minus(first)
+
+
+def _slopes(
+    number: Callable[[list[list[float]]], float], values: list[list[float]], step: float
+) -> list[np.ndarray]:
+    """Derivative by each value of both curves, by central differences that keep the values in order."""
+    slopes = []
+    for i, curve in enumerate(values):
+        h = min(step, *(abs(b - a) / 4 for a, b in pairwise(curve)))
+        row = []
+        for j in range(len(curve)):
+            ends = []
+            for side in (h, -h):
+                moved = [list(one) for one in values]
+                moved[i][j] += side
+                ends.append(number(moved))
+            row.append((ends[0] - ends[1]) / (2 * h))
+        slopes.append(np.array(row))
+    return slopes
+
+
+def _part(
+    curve: Sequence[RatePoint], by_psnr: np.ndarray, by_size: np.ndarray, views: Views, results: pd.DataFrame
+) -> Sample | None:
+    """What a curve adds to the linear part: the weighted sum over its points, per view and per seed."""
+    samples = []
+    for point in curve:
+        sample = views.sample(point.jobs, "psnr")
+        if sample is None:
+            return None
+        samples.append(sample)
+    scenes = set(samples[0].scenes)
+    if any(set(sample.scenes) != scenes for sample in samples):
+        return None
+    paths = {}
+    for scene in scenes:
+        common = shared_views([sample.scenes[scene] for sample in samples])
+        rows = [sample.scenes[scene].at(common) for sample in samples]
+        paths[scene] = Path(common, by_psnr @ np.array(rows))
+    bytes_of_seeds = [_bytes(results, point.jobs) for point in curve]
+    seeds = {}
+    for seed in samples[0].seeds:
+        if all(seed in sample.seeds for sample in samples) and all(seed in one for one in bytes_of_seeds):
+            quality = np.array([sample.seeds[seed] for sample in samples])
+            size = np.log10([one[seed] for one in bytes_of_seeds])
+            seeds[seed] = float(by_psnr @ quality + by_size @ size)
+    return Sample(paths, seeds)
+
+
+def _bytes(results: pd.DataFrame, jobs: tuple[str, ...]) -> dict[str, float]:
+    """Seed -> bytes of its scenes."""
+    rows = results[results["job"].isin(list(jobs))]
+    sums = rows["size_bytes"].astype(float).groupby(rows["seed"].astype(str)).sum()
+    return {str(seed): float(value) for seed, value in sums.items() if value > 0}

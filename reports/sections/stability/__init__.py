@@ -1,0 +1,1 @@
+"""Failures, seeds, worst views, and what grows with a scene."""

@@ -1,0 +1,1 @@
+"""PSNR against costs."""

@@ -1,0 +1,1 @@
+"""Transfer functions that were not trained on."""

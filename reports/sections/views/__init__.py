@@ -1,0 +1,1 @@
+"""Pictures by number of training views."""

@@ -1,0 +1,131 @@
+"""When a model pays: models of scenes against the compressed volume itself, drawn by the ray marcher."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+from econgs_bench.reports.fronts import interpolated
+from econgs_bench.reports.style import MIB, MISSING, absent, mib
+
+if TYPE_CHECKING:
+    from econgs_bench.reports.curves import Curve
+
+VOLUMES = ("sz3", "zfp")
+"""Methods that store the volume itself."""
+HEADS = (
+    "Dataset", "Method", "PSNR [dB]", "Size [MiB]", "Volume", "Its size at that PSNR [MiB]", "Ratio",
+    "Volume is better from [MiB]", "View [ms]", "View of the volume [ms]", "Memory [MiB]",
+    "Memory of the volume [MiB]",
+)  # fmt: skip
+"""Of :func:`row`."""
+
+
+@dataclass(frozen=True)
+class Payoff:
+    """A model against a compressed volume, at the model's highest PSNR.
+
+    Attributes:
+        bytes: of the model, per scene.
+        psnr: of the model, dB.
+        needed: bytes of the volume at that PSNR.
+        bound: "" if ``needed`` is such, "below" or "above" if the volume's curve begins or ends there.
+        meeting: bytes from which on the volume has the higher PSNR; None where the curves do not cross.
+    """
+
+    dataset: str
+    volume: Curve
+    model: Curve
+    bytes: float
+    psnr: float
+    needed: float
+    bound: str
+    meeting: tuple[float, float] | None
+
+    @property
+    def pays(self) -> bool:
+        """Whether the model is smaller than a volume as good; False where such a volume is not known."""
+        return self.bytes < self.needed and self.bound != "below"
+
+
+def payoffs(curves: dict[str, list[Curve]]) -> list[Payoff]:
+    """Of every model against every compressed volume of its dataset, in the drawing nearest the truth."""
+    return [
+        _payoff(dataset, max(drawings, key=lambda one: max(point.psnr for point in one.points)), model)
+        for dataset, rows in curves.items()
+        for method in VOLUMES
+        if (drawings := [one for one in rows if one.model.method == method])
+        for model in rows
+        if model.model.method not in VOLUMES
+    ]
+
+
+def _payoff(dataset: str, volume: Curve, model: Curve) -> Payoff:
+    best = max(model.points, key=lambda point: point.psnr)
+    spots = volume.spots
+    needed, bound = spots[0][0], "below"
+    if best.psnr > spots[0][1]:
+        needed, bound = spots[-1][0], "above"
+        for (low, worse), (high, better) in pairwise(spots):
+            if worse < best.psnr <= better:
+                share = (best.psnr - worse) / (better - worse)
+                needed, bound = low * (high / low) ** share, ""
+                break
+    return Payoff(dataset, volume, model, best.bytes, best.psnr, needed, bound, _meeting(spots, model.spots))
+
+
+def _meeting(
+    volume: Sequence[tuple[float, float]], model: Sequence[tuple[float, float]]
+) -> tuple[float, float] | None:
+    """Where a volume's curve first rises above a model's: bytes, dB. Both are linear over log bytes."""
+    low, high = max(volume[0][0], model[0][0]), min(volume[-1][0], model[-1][0])
+    sizes = sorted({low, high, *(size for size, _ in (*volume, *model) if low < size < high)})
+    for start, end in pairwise(sizes if low < high else []):
+        before, after = (interpolated(volume, size) - interpolated(model, size) for size in (start, end))
+        if before < 0.0 <= after:
+            size = start * (end / start) ** (before / (before - after))
+            return size, interpolated(volume, size)
+    return None
+
+
+def memory_and_times(curve: Curve) -> tuple[list[float], list[float]]:
+    """MiB and milliseconds a view of the points that have both."""
+    both = [
+        (point.row["peak_host_bytes"] / MIB, 1e3 / point.row["fps"])
+        for point in curve.points
+        if not any(absent(point.row.get(name)) for name in ("peak_host_bytes", "fps"))
+    ]
+    return [memory for memory, _ in both], [time for _, time in both]
+
+
+def conclusion(found: Sequence[Payoff]) -> str:
+    """Which models are smaller than a volume that is as good, by dataset and volume."""
+    sentences = []
+    for dataset, volume in dict.fromkeys((one.dataset, one.volume.title) for one in found):
+        rows = [one for one in found if (one.dataset, one.volume.title) == (dataset, volume)]
+        paying = ", ".join(one.model.title for one in rows if one.pays)
+        sentences.append(f"{dataset}: {paying or 'no model'} smaller than the {volume} at equal PSNR.")
+    return " ".join(sentences)
+
+
+def row(one: Payoff) -> list[str]:
+    """A line of the table, under :data:`HEADS`."""
+    sign = {"": "", "below": "\N{LESS-THAN OR EQUAL TO} ", "above": "> "}[one.bound]
+    ratio = {"": "", "below": "\N{GREATER-THAN OR EQUAL TO} ", "above": "< "}[one.bound]
+    memory, times = (
+        [f"{side[-1]:,.1f}" if side else MISSING for side in both]
+        for both in zip(memory_and_times(one.model), memory_and_times(one.volume), strict=True)
+    )
+    return [
+        *(one.dataset, one.model.title, f"{one.psnr:.2f}", mib(one.bytes), one.volume.title),
+        *(f"{sign}{mib(one.needed)}", f"{ratio}{_digits(one.bytes / one.needed)}"),
+        MISSING if one.meeting is None else mib(one.meeting[0]),
+        *times,
+        *memory,
+    ]
+
+
+def _digits(value: float) -> str:
+    return f"{value:,.0f}" if value >= 10.0 else f"{value:.2g}"

@@ -1,0 +1,22 @@
+"""When a model pays: models beside the compressed volume."""
+
+from __future__ import annotations
+
+from econgs_bench.reports.sections.section import Page, Section
+from econgs_bench.reports.sections.volumes.conclusion import HEADS, conclusion, payoffs, row
+from econgs_bench.reports.tables.table import Table
+
+_WORDS = (
+    "The compressed volume is drawn by the ray marcher that drew the ground truth: its error is that of the "
+    "compression alone, which favours it. It takes every other transfer function without more bytes, and "
+    "the scenes of a variable share its size. The charts of trade-offs have its curves."
+)
+
+
+def section(page: Page) -> Section | None:
+    """Models beside the compressed volume; None where there are not both."""
+    found = payoffs(page.report.curves)
+    if not found:
+        return None
+    table = Table("Models and the volume at equal PSNR", HEADS, [row(one) for one in found])
+    return Section("volumes", "When does a model pay", [conclusion(found)], _WORDS, tables=[table])
