@@ -26,8 +26,6 @@ them make one report. The kinds and their keys:
     table    its name in reports/paper/published
 ``csv``      a table that a program wrote; lines that begin with "#" are its caption
     file     in ``reports/measured``
-``power``    the smallest losses that a baseline of the gate shows
-    baseline its path
 ``bundles``  every bundle with its page and content
 """
 
@@ -46,8 +44,6 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from econgs_bench.bench.gate.baseline import read as read_baseline
-from econgs_bench.bench.gate.power import markdown as power
 from econgs_bench.bench.results.tables import build_tables
 from econgs_bench.bench.store.store import Store
 from econgs_bench.methods.registry import Registry
@@ -58,22 +54,18 @@ from econgs_bench.reports.charts.sections import chart_sections
 from econgs_bench.reports.clocks import CLOCKS, Clocks
 from econgs_bench.reports.conclusions import ladders, races, rates, unseen, volumes
 from econgs_bench.reports.conclusions.answers import scope
-from econgs_bench.reports.paper import datasets
 from econgs_bench.reports.paper.documents import to_markdown
 from econgs_bench.reports.paper.tables import paper_tables
 from econgs_bench.reports.paper.values import PaperTable
 from econgs_bench.reports.schema import records
 from econgs_bench.reports.statistics import Views
 from econgs_bench.reports.style import MISSING, PAPER, TITLES, label
-from econgs_bench.reports.tables.documents import to_markdown as costs_as_markdown
 from econgs_bench.reports.tables.ladders import climbed
 from econgs_bench.reports.tables.protocols import by_scene_choice
 
 ROOT = Path(__file__).resolve().parents[1]
 MEASURED = ROOT / "reports" / "measured"
-BLOCK = re.compile(
-    r"(<!-- (verdict|table|chart|paper|csv|power|bundles)\b(.*?)-->\n).*?(<!-- end -->)", re.DOTALL
-)
+BLOCK = re.compile(r"(<!-- (verdict|table|chart|paper|csv|bundles)\b(.*?)-->\n).*?(<!-- end -->)", re.DOTALL)
 METHODS = (
     "3dgs", "3dgs-mcmc", "vq-3dgs", "3dgs-coded", "scaffold-gs", "hac", "hac-plus", "ivr-gs", "veg",
     "plenoxels", "ccnerf", "econgs", "mesh", "sz3", "zfp",
@@ -141,19 +133,6 @@ def _answers(report: Report) -> Part:
     return Part(f"**{scope(report.contests[0])}**", ("", ""), rows, ("psnr", *CLOCKS))
 
 
-def _places(report: Report) -> Part:
-    rows = []
-    for method in report.contests[0].methods:
-        cells = []
-        for answer in report.answers:
-            own, rank = answer.place(method) or (None, 0)
-            remarks = [str(rank + 1), answer.firsts(own)] if own else []
-            cells.append(f"{own.text} ({'; '.join(filter(None, remarks))})" if own else MISSING)
-        rows.append([TITLES.get(method, method), *cells])
-    text = "**Means per scene, and in parentheses the rank and on how many scenes a method is first.**"
-    return Part(text, ("method", *(answer.title for answer in report.answers)), rows, ("psnr", *CLOCKS))
-
-
 def _races(report: Report) -> Part:
     rows = [races.row(race, lead, report.family) for race in report.races for lead in race.leads]
     text = f"**{' '.join(races.conclusion(report.races, report.family))}**"
@@ -198,7 +177,7 @@ def _first_break(climb: dict[str, Any] | None) -> str:
 
 
 SECTIONS: dict[str, Callable[[Report], Part]] = {
-    "answers": _answers, "places": _places, "races": _races, "rates": _rates, "unseen": _unseen,
+    "answers": _answers, "races": _races, "rates": _rates, "unseen": _unseen,
     "volumes": _volumes, "ladders": _ladders,
 }  # fmt: skip
 
@@ -395,10 +374,7 @@ def drawing(block: dict[str, Any]) -> str:
 
 def paper(block: dict[str, Any]) -> str:
     """A table of the paper, without its title."""
-    bundles = tuple(block["bundles"])
-    if block["table"] == "datasets":
-        return costs_as_markdown(datasets.costs(tables(bundles)["dvr"]))
-    return to_markdown(_papers(bundles)[block["table"]]).partition("\n\n")[2]
+    return to_markdown(_papers(tuple(block["bundles"]))[block["table"]]).partition("\n\n")[2]
 
 
 @cache
@@ -436,7 +412,6 @@ def bundle_list(_: dict[str, Any]) -> str:
 
 KINDS: dict[str, Callable[[dict[str, Any]], str]] = {
     "verdict": verdict, "table": table, "chart": chart, "paper": paper, "csv": from_csv,
-    "power": lambda block: power(read_baseline(ROOT / block["baseline"]), times=False) + "\n",
     "bundles": bundle_list,
 }  # fmt: skip
 
