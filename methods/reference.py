@@ -1,4 +1,4 @@
-"""The page of options: ``python -m econgs_bench.methods.reference > docs/reference/options.md``."""
+"""The page of options, as ``python -m econgs_bench.methods.reference`` prints it and the site has it."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from econgs_bench.methods.registry import Registry
 
 _HEAD = """# Options of the methods
 
-`python -m econgs_bench.methods.reference > docs/reference/options.md` writes this page from the specs of the
-methods (`methods/*/spec.py`). `--set METHOD.OPTION=VALUE` sets an option; it also sets `iterations`, the
+`python -m econgs_bench.methods.reference` prints this page from the specs of the methods
+(`methods/*/spec.py`). `--set METHOD.OPTION=VALUE` sets an option; it also sets `iterations`, the
 budget, and `configuration`, a named set of options. Each section ends with what presets and
 configurations change."""
 

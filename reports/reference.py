@@ -1,4 +1,4 @@
-"""The page of tables: ``python -m econgs_bench.reports.reference > docs/reference/tables.md``."""
+"""The page of tables, as ``python -m econgs_bench.reports.reference`` prints it and the site has it."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ _TYPES = {"string": "text", "Int64": "whole number", "Float64": "number", "boole
 _BETTER = {1: ", higher is better", 0: "", -1: ", lower is better"}
 _HEAD = """# Tables of a run store
 
-`python -m econgs_bench.reports.reference > docs/reference/tables.md` writes this page from
-`reports/schema.py`.
+`python -m econgs_bench.reports.reference` prints this page from `reports/schema.py`.
 
 `RUNS/tables/*.parquet` and a bundle's `tables/*.csv` are normalised: `jobs` holds what a job determines, and
 other tables refer to it by `job`. `bench results --table NAME` and

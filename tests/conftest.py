@@ -66,8 +66,18 @@ def data_folder() -> Path:
 @pytest.fixture(scope="module")
 def generate() -> ModuleType:
     """The script ``docs/generate.py``."""
-    script = Path(__file__).parents[1] / "docs" / "generate.py"
-    spec = importlib.util.spec_from_file_location("generate", script)
+    return _script("generate")
+
+
+@pytest.fixture(scope="module")
+def derived() -> ModuleType:
+    """The module ``docs/derived.py``."""
+    return _script("derived")
+
+
+def _script(name: str) -> ModuleType:
+    script = Path(__file__).parents[1] / "docs" / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(name, script)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)

@@ -180,7 +180,7 @@ SPEC = MethodSpec(
     iterations={"quick": 510, "standard": 2_500, "paper": 10_000},
     configurations={
         "fair": Configuration(),
-        # What the paper states and what its code base implies where it is silent (docs/results/choices.md).
+        # What the paper states and what its code base implies where it is silent (docs/results/parts.md).
         "paper": Configuration(
             {
                 **splatting.PUBLISHED,

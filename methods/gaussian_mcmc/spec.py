@@ -19,7 +19,7 @@ from econgs_bench.methods.shared import splatting
 PUBLISHED: dict[str, OptionValue] = {**PLAIN_PUBLISHED, "start_opacity": 0.5, "cap": 300_000}
 """How the released code starts; its caps are what 3DGS ends with, 150,000 to 350,000 on synthetic scenes."""
 TUNED = {name: PLAIN_TUNED[name] for name in ("alpha_weight", "position_lr", "opacity_lr", "sh_rest_lr")}
-"""What suits it of the settings of 3DGS in the preset quick (docs/results/tuning.md)."""
+"""What suits it of the settings of 3DGS in the preset quick (docs/results/parts.md)."""
 
 
 @dataclass(frozen=True)

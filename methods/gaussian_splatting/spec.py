@@ -26,7 +26,7 @@ TUNED: dict[str, OptionValue] = {
     "sh_rest_lr": 8.5e-4,
     "growth_gradient": 3e-4,
 }
-"""What `bench tune` found for the preset quick (docs/results/tuning.md)."""
+"""What `bench tune` found for the preset quick (docs/results/parts.md)."""
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ PUBLISHED: dict[str, OptionValue] = {
 }
 """How the released code starts."""
 TUNED = {name: PLAIN_TUNED[name] for name in ("start_spacing", "growth_gradient")}
-"""What suits it of the settings of 3DGS in the preset quick (docs/results/tuning.md)."""
+"""What suits it of the settings of 3DGS in the preset quick (docs/results/parts.md)."""
 
 
 @dataclass(frozen=True)

@@ -98,7 +98,7 @@ TUNED: dict[str, OptionValue] = {
     "growth_gradient": 5e-4,
     "scale_weight": 0.035,
 }
-"""What `bench tune` found for the preset quick (docs/results/tuning.md)."""
+"""What `bench tune` found for the preset quick (docs/results/parts.md)."""
 
 SPEC = MethodSpec(
     name="scaffold-gs",

@@ -273,7 +273,7 @@ def test_what_is_no_bundle_is_refused(tmp_path):
     assert not (tmp_path / "out.zip").exists()
 
 
-MEASURED = sorted((Path(__file__).resolve().parents[2] / "reports" / "measured").glob("*.zip"))
+MEASURED = sorted((Path(__file__).resolve().parents[2] / "reports" / "measured").rglob("*.zip"))
 
 
 @pytest.mark.parametrize("path", MEASURED, ids=lambda path: path.stem)

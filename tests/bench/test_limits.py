@@ -35,7 +35,7 @@ from econgs_bench.methods.registry import Registry
 
 from .conftest import plan
 
-BUNDLES = sorted((Path(__file__).parents[2] / "reports" / "measured").glob("*.zip"))
+BUNDLES = sorted((Path(__file__).parents[2] / "reports" / "measured").rglob("*.zip"))
 BUSY = 8.0
 """How much longer a fit took on a busy machine than on the same machine at rest."""
 

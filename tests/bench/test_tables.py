@@ -18,7 +18,7 @@ from econgs_bench.reports.curves import at_default_rates, curves
 from econgs_bench.reports.schema import PRUNED, joined, read_tables
 from tests.bench.test_versions import version
 
-MEASURED = sorted((Path(__file__).parents[2] / "reports" / "measured").glob("*.zip"))
+MEASURED = sorted((Path(__file__).parents[2] / "reports" / "measured").rglob("*.zip"))
 
 
 @dataclass(frozen=True)

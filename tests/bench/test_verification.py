@@ -22,7 +22,7 @@ from econgs_bench.bench.results.verification import LEAST_ITERATION_SECONDS, lea
 from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.seals import sealed, unsealed
 
-HONEST = Path(__file__).resolve().parents[2] / "reports" / "measured" / "gpu-probe.zip"
+HONEST = Path(__file__).resolve().parents[2] / "reports" / "measured" / "speed" / "gpu-probe.zip"
 VIEWS = 24
 VALUES = 3 * 800 * 800
 

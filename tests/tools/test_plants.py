@@ -1,5 +1,6 @@
 """The list of planted regressions stays true while the source changes."""
 
+import csv
 import re
 from pathlib import Path
 
@@ -22,26 +23,22 @@ def test_a_plant_has_its_text_its_test_and_its_methods(plant):
         assert re.search(rf"^def {function}\(", (ROOT / file).read_text(encoding="utf-8"), re.MULTILINE)
 
 
-def test_the_page_lists_every_plant_and_counts_them_right():
-    page = (ROOT / "docs" / "results" / "gate.md").read_text(encoding="utf-8")
-    section = page.partition("## Planted regressions")[2].partition("### The full form")[0]
-    lines = [line for line in section.splitlines() if re.match(r"\| [\w-]+ \| .*\|$", line)]
-    rows = {cells[0]: cells[1:] for line in lines if len(cells := line.strip("| ").split(" | ")) == 4}
-    assert {name: row[0] for name, row in rows.items() if name != "Plant"} == {
-        plant.name: plant.breaks for plant in plants()
-    }
-    by = [row[1] for name, row in rows.items() if name != "Plant"]
+def _measured(name: str) -> list[list[str]]:
+    """Rows of a file of reports/measured/reliability."""
+    lines = (ROOT / "reports" / "measured" / "reliability" / name).read_text(encoding="utf-8").splitlines()
+    return list(csv.reader(line for line in lines if not line.startswith("#")))[1:]
+
+
+def test_the_records_list_every_plant_and_count_them_right():
+    rows = _measured("plants.csv")
+    assert {name: breaks for name, breaks, _, _ in rows} == {plant.name: plant.breaks for plant in plants()}
+    by = [one for _, _, one, _ in rows]
     assert all(re.search(r"gate \(|`test_|fingerprint", one) for one in by)
-    asked = [row for row in rows.values() if row[2].startswith(tuple(Registry().built_in()))]
-    found = [row for row in asked if "gate (" in row[1]]
     tested = [one for one in by if "`test_" in one]
-    assert re.findall(r"All (\d+) are noticed", page) == [str(len(by))]
-    counts = [len(tested), sum("gate (" in one for one in tested)]
-    assert re.findall(r"a test that names the mistake \| (\d+) \| (\d+) of them", page) == [
-        tuple(map(str, counts))
-    ]
-    assert set(re.findall(r"asked about (\d+) and found (\d+)", page)) == {(str(len(asked)), str(len(found)))}
-    assert set(re.findall(r"notices (\d+) of the (\d+)", page)) == {(str(len(found)), str(len(asked)))}
+    gate = [one for one in by if "gate (" in one and one not in tested]
+    counts = {name: int(count) for name, count, _ in _measured("noticed.csv")}
+    assert list(counts.values()) == [len(tested), len(gate), len(by) - len(tested) - len(gate)]
+    assert _measured("noticed.csv")[0][2].startswith(f"{sum('gate (' in one for one in tested)} of them")
 
 
 def test_a_copy_is_what_runs_unless_the_install_is_editable(tmp_path):

@@ -4,7 +4,7 @@
 
 One fit is trained to the middle of its first and of its second stage; there steps with native and with torch
 decoders are taken in turns (both train the same model), and medians are divided. ``--dataset vortex_views``
-(needs BENCH_DATA) gives the figures of docs/results/kernels.md.
+(needs BENCH_DATA) gives the figures of docs/results/speed.md.
 """
 
 from __future__ import annotations
