@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -259,7 +260,7 @@ def test_the_documentation_gives_the_reason(planted, generate, tmp_path, monkeyp
     block = 'bundles = ["planted"]\nrows = ["dataset", "method"]\ncolumns = ["psnr", "fps", "mib"]\n'
     block += "where = \"kind == 'basic' and rate.isna() and variant == ''\"\n"
     try:
-        text = generate.table(block)
+        text = generate.table(tomllib.loads(block))
     except SystemExit as refusal:
         text = str(refusal)
     kind = case.words.partition(":")[0]  # a line counts rows by the kind of the reason
