@@ -9,9 +9,10 @@ from pathlib import Path
 from textwrap import indent
 from typing import TYPE_CHECKING
 
+from econgs_bench.bench.commands.arguments import add_device, add_plugins, count, repeatable
+
 if TYPE_CHECKING:
-    from econgs_bench.bench.commands.arguments import add_device, add_plugins, count, repeatable
-from econgs_bench.methods.contract.checks import Outcome
+    from econgs_bench.methods.contract.checks import Outcome
 
 FAULTS = {
     "plugin": "the plugin's code",
