@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _MOST = 3
 _CLOCKS = {
     "fps": ("fps",), "time": ("train_seconds",), "train": ("train_seconds",), "anytime": ("train_seconds",),
-    "convergence": ("train_seconds",), "frame": ("fps", PARTS), "timing": ("fps", PARTS),
+    "frame": ("fps", PARTS), "timing": ("fps", PARTS),
 }  # fmt: skip
 """Part of a chart's name -> the clocks that it draws."""
 
