@@ -8,19 +8,35 @@ from typing import TYPE_CHECKING, Any
 
 from econgs_bench.reports.charts.chart import Chart
 from econgs_bench.reports.comparability import PARTS, Remark, begins, concerning, fixed_rays
+from econgs_bench.reports.curves import at_default_rates
 from econgs_bench.reports.schema import records
 from econgs_bench.reports.sections.section import Section
-from econgs_bench.reports.style import counted
+from econgs_bench.reports.style import MOST_NAMED, counted, models
+from econgs_bench.reports.tables.protocols import comparable
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from econgs_bench.reports.report import Report
 
 _MOST = 3
 _CLOCKS = {
     "fps": ("fps",), "time": ("train_seconds",), "train": ("train_seconds",), "anytime": ("train_seconds",),
-    "convergence": ("train_seconds",), "frame": ("fps", PARTS), "timing": ("fps", PARTS),
+    "frame": ("fps", PARTS), "timing": ("fps", PARTS),
 }  # fmt: skip
 """Part of a chart's name -> the clocks that it draws."""
+
+
+def rates_left_out(table: pd.DataFrame) -> str:
+    """What to say of fits that charts of training and of attributes do not draw; "" if they draw all."""
+    fewer = len(at_default_rates(table)) < len(table)
+    return " Of fits that differ only in a rate knob, the default's is shown." if fewer else ""
+
+
+def variants_left_out(table: pd.DataFrame) -> str:
+    """What to say of variants that are not named (:func:`.reports.style.named`); "" if all are."""
+    many = any(len(models(rows)) > MOST_NAMED for _, rows in comparable(table))
+    return f" Of more than {MOST_NAMED} variants each method's default is shown alone." if many else ""
 
 
 def noted(section: Section, report: Report) -> Section:

@@ -12,10 +12,12 @@ from econgs_bench.reports.sections.answers import contest
 from econgs_bench.reports.sections.answers import section as answers_section
 from econgs_bench.reports.sections.answers.conclusion import CRITERIA, Answer, answers_of, compare
 from econgs_bench.reports.sections.anytime import section as anytime
+from econgs_bench.reports.sections.attributes import section as attributes
 from econgs_bench.reports.sections.datasets import section as datasets
 from econgs_bench.reports.sections.economy import section as economy
 from econgs_bench.reports.sections.editing import section as editing
 from econgs_bench.reports.sections.ladders import section as ladders
+from econgs_bench.reports.sections.losses import section as losses
 from econgs_bench.reports.sections.notes import noted
 from econgs_bench.reports.sections.paper import verdicts
 from econgs_bench.reports.sections.parts import section as parts
@@ -43,7 +45,7 @@ ROWS: tuple[Maker, ...] = (
 QUESTIONS: tuple[Maker, ...] = (
     races.section, uncertainty.section, rates.section, tradeoffs.section, volumes.section, ladders.section,
     ladders.breaks, stability.section, stability.complexity, economy.section, unseen.section,
-    anytime.section, parts.frame_time, parts.size, tradeoffs.variants,
+    anytime.section, losses.section, attributes.section, parts.frame_time, parts.size, tradeoffs.variants,
 )  # fmt: skip
 """Sections of the rows without variants of options."""
 ORIGINS: tuple[Maker, ...] = (datasets.section, provenance.section)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from econgs_bench.reports.charts.levels import by_panel
 from econgs_bench.reports.charts.lines import lines
-from econgs_bench.reports.curves import at_default_rates
 from econgs_bench.reports.sections.anytime.table import LEVELS, anytime, time_to_quality
+from econgs_bench.reports.sections.notes import rates_left_out
 from econgs_bench.reports.sections.section import Page, Section
 from econgs_bench.reports.style import MISSING, seconds
 from econgs_bench.reports.tables.table import Table
@@ -15,7 +15,6 @@ _WORDS = (
     "joint fit of n scenes counts for each with its time / n. The clock stands still while PSNR is "
     "measured."
 )
-_ONE_RATE = " Of fits that differ only in a rate knob, the default's is shown."
 _NOTE = (
     "Seconds of training per scene until the PSNR of these views first reaches the level, linear between "
     f"evaluations; {MISSING}: never."
@@ -37,6 +36,5 @@ def section(page: Page) -> Section | None:
             times = [time_to_quality(line, level) for level in LEVELS]
             rows.append([dataset, line.title, *(MISSING if t is None else seconds(t) for t in times)])
     table = Table("Time to a quality", ["Dataset", "Method", *(f"{level:g} dB" for level in LEVELS)], rows)
-    words = _WORDS + (_ONE_RATE if len(at_default_rates(curve)) < len(curve) else "")
-    charts = {"anytime-psnr": chart}
+    words, charts = _WORDS + rates_left_out(curve), {"anytime-psnr": chart}
     return Section("anytime", "Quality over training time", (), words, charts, [table], _NOTE)

@@ -16,6 +16,7 @@ from econgs_bench.reports.charts.labels import text_width
 from econgs_bench.reports.charts.lines import Line, lines
 from econgs_bench.reports.sections import order
 from econgs_bench.reports.sections.anytime.table import anytime
+from econgs_bench.reports.sections.losses.table import losses, steps
 from econgs_bench.reports.sections.parts import chart as wholes
 from econgs_bench.reports.sections.parts import families as parts
 from econgs_bench.reports.sections.rates.conclusion import of_report
@@ -226,6 +227,8 @@ def test_rates_and_training_are_not_compared_across_presets(maker):
     rows = [("j", "s", "econgs", i, float(i), 30.0 + i, 9, '{"image": 0.1, "x": 0.1}') for i in (1, 2)]
     curve = pd.concat([curve_table(rows), curve_table(rows).assign(preset="paper", job="k")])
     assert list(anytime(curve, maker.tables()["results"])) == ["d · quick", "d · paper"]
+    rows = steps({"curve": curve, "losses": curve[:0].assign(losses=[])})
+    assert [panel.dataset for panel in losses(rows)] == ["d · quick", "d · paper"]
 
 
 def test_every_row_of_the_page_has_a_key_of_its_own(maker):

@@ -12,6 +12,7 @@ from econgs_bench.reports.fronts import pareto
 from econgs_bench.reports.report import Report
 from econgs_bench.reports.sections import order
 from econgs_bench.reports.sections.anytime.table import anytime, time_to_quality
+from econgs_bench.reports.sections.losses.table import losses, steps
 from econgs_bench.reports.sections.parts.chart import ledger, timing
 from econgs_bench.reports.sections.rates.conclusion import of_report
 from econgs_bench.reports.sections.section import Page, to_html
@@ -210,6 +211,8 @@ def test_charts_of_training_show_the_default_of_a_rate_knob(maker):
     shown = ["m", "m [a=1,rate_weight=0.1]", "m [a=1,rate_weight=0.2]"]
     results = results_table(maker, m="a")
     assert [line.model.title for line in anytime(table, results)["d"]] == shown
+    rows = steps({"curve": table, "losses": table[:0].assign(losses=[])})
+    assert [panel.title for panel in losses(rows)] == shown
 
 
 def test_time_to_quality_is_linear_between_evaluations():

@@ -1,0 +1,1 @@
+"""What primitives carry, and what the features of anchors tell."""
