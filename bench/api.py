@@ -158,11 +158,13 @@ def run(
     from econgs_bench.bench.run.display import Silence, make_display
     from econgs_bench.bench.run.experiment import execute
     from econgs_bench.bench.run.request import RunRequest
+    from econgs_bench.datasets.ground_truth.sampling import samples_of
 
+    rays = None if samples == "" else samples_of(samples, "run")
     request = RunRequest.of(
         str(suite), out, plugins,
         datasets=tuple(map(str, datasets)), scenes=tuple(scenes), composed=composed, methods=tuple(methods),
-        seeds=tuple(seeds), preset=preset, split=split, samples=None if samples == "" else samples,
+        seeds=tuple(seeds), preset=preset, split=split, samples=rays,
         overrides=options or {}, device=device, retry=retry, executor=executor, scheduler=scheduler,
         workers=workers,
     )  # fmt: skip

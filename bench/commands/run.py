@@ -187,9 +187,12 @@ def request(options: Namespace, **others: Any) -> RunRequest:
         options: its arguments, by the names of fields.
         others: further fields, or other values.
     """
+    from econgs_bench.datasets.ground_truth.sampling import samples_of
     from econgs_bench.methods.options import parse_assignments
 
-    given = vars(options) | {"overrides": parse_assignments(options.set)} | others
+    samples = getattr(options, "samples", None)
+    rays = None if samples is None else samples_of(samples, "--samples")
+    given = vars(options) | {"samples": rays, "overrides": parse_assignments(options.set)} | others
     if "time_limit" in given:
         given["limits"] = Limits(options.time_limit, options.memory_limit)
     return RunRequest.of(**given)

@@ -15,7 +15,6 @@ from typing import Any, Literal, Self
 from econgs_bench.bench.plan.selection import Selection
 from econgs_bench.bench.run.limits import Limits
 from econgs_bench.bench.suites.suite import load_suite
-from econgs_bench.datasets.ground_truth.sampling import samples_of
 
 Retry = bool | Literal["failed", "busy"]
 """Finished jobs that run again: failed ones (or True), or those with a disturbed time."""
@@ -68,11 +67,9 @@ class RunRequest:
                 None, are left out.
 
         Raises:
-            DataError: no such suite, or no such number of samples.
+            DataError: no such suite.
         """
         given = {name: value for name, value in choices.items() if value is not None}
-        if "samples" in given:
-            given["samples"] = samples_of(given["samples"], "samples")
         return cls(
             Selection(load_suite(suite), **_those(Selection, given)),
             Path(out),

@@ -28,7 +28,7 @@ from econgs_bench.bench.machine.locks import holder, locked
 from econgs_bench.bench.machine.timing import peak_device_bytes
 from econgs_bench.bench.store.leases import BEAT, Held, Lease, Lost
 from econgs_bench.bench.store.progress import now, traces
-from econgs_bench.bench.store.records import Record, Result, Status, Task
+from econgs_bench.bench.store.records import Record, Result, Status, Task, record_of
 from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.errors import DataError, text_of
 from econgs_bench.datasets.memory import peak_host_bytes
@@ -143,7 +143,7 @@ def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) ->
         **({} if status == "ok" else traces(folder)),
     )
     try:
-        Record.model_validate_json(record.model_dump_json())
+        record_of(record.model_dump_json(), job.kind)
     except ValidationError as error:  # a number that is not finite, where there must be one
         wrong = error.errors()[0]
         words = f"its results cannot be stored: {'.'.join(map(str, wrong['loc']))}: {wrong['msg']}"

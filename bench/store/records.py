@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
+from functools import cache
 from importlib import import_module
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, get_args
 
@@ -17,6 +18,7 @@ from pydantic import (
     ValidationError,
     ValidatorFunctionWrapHandler,
     WrapValidator,
+    create_model,
     model_serializer,
     model_validator,
 )
@@ -225,6 +227,30 @@ def kind_of(name: str) -> type[Job]:
     """The class of a kind of jobs: that of its name in the module of its name."""
     found: type[Job] = getattr(import_module(f"econgs_bench.bench.jobs.{name}"), name.capitalize())
     return found
+
+
+@cache
+def _form(kind: str) -> type[BaseModel]:
+    """What a record of a kind is as JSON: its result has the name of the kind."""
+    own = kind_of(kind)
+    fields: dict[str, Any] = {
+        name: (field.annotation, field)
+        for name, field in Record.model_fields.items()
+        if name not in ("job", "result")
+    }
+    fields |= dict.fromkeys(KINDS, (None, None)) | {"job": (own, ...), kind: (own.result_type | None, None)}
+    return create_model(f"{own.__name__}Record", __base__=_Model, **fields)
+
+
+def record_of(text: str | bytes, kind: str) -> Record:
+    """A record from its JSON, which is read without Python objects in between: it may be a stranger's.
+
+    Raises:
+        ValidationError: it is no record of this kind.
+    """
+    form = _form(kind).model_validate_json(text)
+    values = {name: getattr(form, name) for name in Record.model_fields if name != "result"}
+    return Record.model_construct(**values, result=getattr(form, kind))
 
 
 def _of_its_kind(value: Any, handler: ValidatorFunctionWrapHandler) -> Any:

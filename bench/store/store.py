@@ -24,7 +24,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from econgs_bench.bench.store.leases import Lease
-from econgs_bench.bench.store.records import READABLE, SCHEMA, Record
+from econgs_bench.bench.store.records import KINDS, READABLE, SCHEMA, Record, record_of
 from econgs_bench.datasets.bounded import check_finite, json_of, number_of_values
 from econgs_bench.datasets.errors import DataError, printable
 from econgs_bench.datasets.seals import sealed, unsealed
@@ -223,7 +223,10 @@ def read_record(path: Path) -> Record:
         if (values := number_of_values(text)) > MOST_VALUES:
             raise ValueError(f"{values} values, more than any has")
         check_finite(text)
-        record = Record.model_validate_json(text)
+        kind = path.parent.name.partition("-")[0]
+        if kind not in KINDS:
+            raise ValueError("its folder has no name of a job")
+        record = record_of(text, kind)
         record = record.job.migrated(record)
         if record.job.id != path.parent.name:
             raise ValueError(f"it is that of {record.job.id}")
