@@ -230,8 +230,8 @@ def test_a_joint_method_is_partitioned_and_its_shares_sum(bench) -> None:
     assert table["standalone_bytes"].to_dict() == {scene: size + 7 for scene, size in own.items()}
     (partition,) = bench.of_kind("partition")
     spent = partition.result.seconds
-    spent += sum(r.fit.seconds for r in bench.of_kind("fit"))
-    spent += sum(r.encode.seconds for r in bench.of_kind("encode"))
+    spent += sum(r.result.seconds for r in bench.of_kind("fit"))
+    spent += sum(r.result.seconds for r in bench.of_kind("encode"))
     assert table["train_seconds"].sum() == pytest.approx(spent)
 
 
