@@ -171,7 +171,7 @@ def test_a_drawing_that_the_user_sets_has_all_rates_and_lengths():
 
 def test_jobs_of_one_sample_have_the_keys_of_before(toys, tmp_path, monkeypatch):
     """The keys were computed at commit 94dde38, which knew no samples, with the same plugin and suite."""
-    monkeypatch.setattr("econgs_bench.bench.plan.planner.RULERS", {"frame": 2, "parts": 3})
+    monkeypatch.setattr("econgs_bench.bench.jobs.measure.RULERS", {"frame": 2, "parts": 3})
     chosen = replace(load_suite(suite_file(tmp_path, SMALL)), variants=({}, {"drawn-toy": {"samples": 16}}))
     selection = Selection(chosen, methods=("drawn-toy",), samples=1, plugins=(toys,))
     planned = Planner(selection, {"psnr": "1"}).jobs(None)

@@ -161,7 +161,7 @@ def rows(bench: Bench) -> dict[tuple[str, str], tuple[str, str]]:
     """Stage and fault -> status and reason of the job that failed, "ok" if none did."""
     found: dict[tuple[str, str], tuple[str, str]] = {}
     for record in Store(bench.store).records():
-        if record.job.method == "faulty" and (not record.ok or record.job.kind == "measure"):
+        if record.job.axes()["method"] == "faulty" and (not record.ok or record.job.kind == "measure"):
             key = str(record.job.options["stage"]), str(record.job.options["fault"])
             if record.cause is None and found.get(key, ("ok",))[0] == "ok":
                 found[key] = record.status, record.reason or ""
@@ -265,7 +265,9 @@ def attack_own_folder(bench: Bench, tally: Tally) -> None:
                       "--method", "fake", "--no-report", "--plugins", PLUGINS, "--plugins", folder,
                       "--out", bench.store, code=None,
     )  # fmt: skip
-    found = {(r.job.method, r.job.kind): (r.status, r.reason or "") for r in Store(bench.store).records()}
+    found = {
+        (r.job.axes()["method"], r.job.kind): (r.status, r.reason or "") for r in Store(bench.store).records()
+    }
     judge(tally, "own folder: its encode", found.get(("mine", "encode")), ("failed", "mine|no method in it"))
     judge(tally, "own folder: others", found.get(("fake", "measure")), ("ok", "|no method in it"))
     tally.add("the run goes on", "" if "Traceback" not in done.stderr else done.stderr[-500:])

@@ -89,7 +89,9 @@ def soak(folder: Path, seconds: float, out: Path | None = None) -> tuple[list[Sa
         if number % EVERY == EVERY - 1:
             bench.run(suite, **common)
         kept = [*Store(store).records()]
-        failed += sum(not one.ok and one.job.method != "fake-torch" for one in kept if one.job.id not in seen)
+        failed += sum(
+            not one.ok and one.job.axes()["method"] != "fake-torch" for one in kept if one.job.id not in seen
+        )
         seen = {one.job.id for one in kept}
         jobs += len(kept) - before
         samples.append(sample(start, jobs, store, temporary))
