@@ -13,6 +13,7 @@ import psutil
 import pytest
 
 from econgs_bench.bench.run.experiment import _executor
+from econgs_bench.bench.run.request import Execution
 from econgs_bench.datasets.errors import DataError
 
 from .conftest import PATIENCE, Bench, attempts, plain_tables, suite_file
@@ -167,7 +168,7 @@ def test_what_cannot_be_done_is_said_with_a_remedy(bench, tmp_path, monkeypatch)
     with pytest.raises(
         DataError, match=r"needs the package distributed. pip install 'econgs-bench\[cluster\]'"
     ):
-        _executor("dask", "", 2)
+        _executor(Execution(executor="dask", workers=2))
 
 
 STRANGER = """

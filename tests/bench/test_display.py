@@ -39,7 +39,7 @@ def test_the_number_of_jobs_is_known_before_a_partition(groups):
     first = planner.jobs(None)
     assert len(first) == 9
     assert planner.total(first, None) == (13, True)
-    done = SimpleNamespace(ok=True, partition=SimpleNamespace(groups=groups))
+    done = SimpleNamespace(ok=True, of=lambda kind: kind(groups=groups, seconds=1.0))
     store = SimpleNamespace(record=lambda job: done if job.startswith("partition") else None)
     jobs = planner.jobs(store)
     assert planner.total(jobs, store) == (len(jobs), False) == (11 + 2 * len(groups), False)

@@ -78,7 +78,7 @@ def test_a_fork_takes_the_memory_of_an_interpreter_of_its_own(bench, tmp_path) -
         stdout=subprocess.DEVNULL,
     )
     alone = Store(bench.store).record(forked.job.id)
-    assert alone.fit.losses == forked.fit.losses
+    assert alone.result.losses == forked.result.losses
     assert forked.peak_host_bytes == pytest.approx(alone.peak_host_bytes, rel=0.03)
 
 
