@@ -1,4 +1,8 @@
-"""The measure job: its fields, identity, result, run and rows."""
+"""The measure job: its fields, identity, result, run and rows.
+
+A figure of a model is a field of :class:`MeasureResult`, filled by :meth:`Measure.run` and written to its
+column by ``_measured``; :mod:`.reports.schema` declares the column.
+"""
 
 from __future__ import annotations
 
