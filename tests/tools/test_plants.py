@@ -44,7 +44,7 @@ def test_the_records_list_every_plant_and_count_them_right():
 def test_a_copy_is_what_runs_unless_the_install_is_editable(tmp_path):
     """A plant in a copy that nothing runs would pass every gate."""
     proof = Proof(tmp_path, "gate")
-    editable = Path(econgs.__file__).is_relative_to(ROOT)
+    editable = Path(econgs.__file__).is_relative_to(ROOT / "econgs")
     assert proof.used(proof._copy("c")) != editable
     if editable:
         assert "plain install" in proof.prove(plants()[0], (), ()).trouble
