@@ -5,13 +5,13 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Iterable, Mapping
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 from econgs_bench.bench.jobs import answers
 from econgs_bench.bench.jobs.checkpoints import read_checkpoint
 from econgs_bench.bench.jobs.context import Context
 from econgs_bench.bench.jobs.fit import Fit
-from econgs_bench.bench.jobs.method import MethodJob
+from econgs_bench.bench.jobs.method import ModelJob
 from econgs_bench.bench.machine.timing import synchronise
 from econgs_bench.bench.store.lineage import Lineage
 from econgs_bench.bench.store.records import Count, Record, Result, Row, Whole
@@ -33,24 +33,16 @@ class EncodeResult(Result):
         return {"encode.seconds": self.seconds}
 
 
-class Encode(MethodJob):
-    """Saves a trained model at a rate; None: the method's own."""
+class Encode(ModelJob):
+    """Saves a trained model at a rate."""
 
     kind: Literal["encode"] = "encode"
-    rate: float | None = None
     result_type = EncodeResult
 
     @classmethod
     def of(cls, fit: Fit, rate: float | None) -> Self:
         """The job that saves the model of a fit."""
         return cls.after(fit, {"fit": fit.key, "rate": rate}, needs=(fit.id,), rate=rate)
-
-    @property
-    def _rate(self) -> list[str]:
-        return [] if self.rate is None else [f"rate {self.rate:g}"]
-
-    def axes(self) -> dict[str, Any]:
-        return super().axes() | {"rate": self.rate}
 
     def run(self, context: Context) -> EncodeResult:
         """Restore the model of a fit from its checkpoint and save it; the ledger must cover the files."""

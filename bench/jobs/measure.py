@@ -20,7 +20,7 @@ from econgs_bench.bench.jobs import answers
 from econgs_bench.bench.jobs.context import Context
 from econgs_bench.bench.jobs.costs import costs, fit_row, memory
 from econgs_bench.bench.jobs.encode import Encode
-from econgs_bench.bench.jobs.method import MethodJob
+from econgs_bench.bench.jobs.method import ModelJob
 from econgs_bench.bench.jobs.supersampling import drawn_as
 from econgs_bench.bench.jobs.truth import renderer_of, sketch
 from econgs_bench.bench.jobs.views import Views, ViewsResult
@@ -110,7 +110,7 @@ class MeasureResult(FrameTimes):
         return {"load_seconds": self.load_seconds}
 
 
-class Measure(MethodJob):
+class Measure(ModelJob):
     """Loads a saved model in a fresh process, renders and times it, and computes the metrics.
 
     Attributes:
@@ -122,7 +122,6 @@ class Measure(MethodJob):
     """
 
     kind: Literal["measure"] = "measure"
-    rate: float | None = None
     recipe: dict[str, str] = Field(default_factory=dict)
     metrics: dict[str, str] = Field(default_factory=dict)
     sampled: Count = SAMPLED
@@ -216,19 +215,8 @@ class Measure(MethodJob):
         return self.composition or "+".join(self.scenes)
 
     @property
-    def _rate(self) -> list[str]:
-        return [] if self.rate is None else [f"rate {self.rate:g}"]
-
-    @property
     def shown(self) -> Any:
         return self.identity.get("views")
-
-    @property
-    def cell(self) -> tuple[Any, ...]:
-        return *super().cell, self.rate
-
-    def axes(self) -> dict[str, Any]:
-        return super().axes() | {"rate": self.rate}
 
     def run(self, context: Context) -> MeasureResult:
         """Load, time and render a scene (or a composition's scenes together), then compare with the truth.

@@ -90,6 +90,23 @@ class MethodJob(Job):
         return super().migrated(record.model_copy(update={"job": job}))
 
 
+class ModelJob(MethodJob):
+    """A job about a saved model; its rate, or None for the method's own."""
+
+    rate: float | None = None
+
+    @property
+    def _rate(self) -> list[str]:
+        return [] if self.rate is None else [f"rate {self.rate:g}"]
+
+    @property
+    def cell(self) -> tuple[Any, ...]:
+        return *super().cell, self.rate
+
+    def axes(self) -> dict[str, Any]:
+        return super().axes() | {"rate": self.rate}
+
+
 class TrainingJob(MethodJob):
     """A partition of scenes, or the fit of a group."""
 
