@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterable, Mapping
 from typing import Literal, Self
 
-from econgs_bench.bench.jobs import answers
+from econgs_bench.bench.jobs import returned
 from econgs_bench.bench.jobs.checkpoints import read_checkpoint
 from econgs_bench.bench.jobs.context import Context
 from econgs_bench.bench.jobs.fit import Fit
@@ -56,7 +56,7 @@ class Encode(ModelJob):
         folder.mkdir()
         context.report(stage="encode")
         start = time.perf_counter()
-        ledger = answers.ledger(model.save(folder, self.rate))
+        ledger = returned.ledger(model.save(folder, self.rate))
         synchronise(self.device)
         seconds = time.perf_counter() - start
         total = sum(p.stat().st_size for p in folder.rglob("*") if p.is_file())

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from econgs_bench.bench.jobs import answers
+from econgs_bench.bench.jobs import returned
 from econgs_bench.bench.jobs.context import Context
 from econgs_bench.bench.jobs.method import TrainingJob
 from econgs_bench.bench.jobs.monitor import FitMonitor
@@ -102,7 +102,7 @@ class Fit(TrainingJob):
             seconds=monitor.seconds,
             cpu_seconds=monitor.cpu_seconds,
             iterations=self.iterations,
-            primitives={name: answers.primitives(model.primitives(name)) for name in self.scenes},
+            primitives={name: returned.primitives(model.primitives(name)) for name in self.scenes},
             cloud_points={scene.name: len(scene.cloud) for scene in scenes},
             train_views=sum(len(scene.train) for scene in scenes) // len(scenes),
             curve=monitor.curve,

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field
 
-from econgs_bench.bench.jobs import answers
+from econgs_bench.bench.jobs import returned
 from econgs_bench.bench.jobs.context import Context
 from econgs_bench.bench.jobs.costs import costs, fit_row, memory
 from econgs_bench.bench.jobs.encode import Encode
@@ -260,7 +260,7 @@ class Measure(ModelJob):
 
         frames, drawing = timed(model), drawn_as(self, model)
         parts = median_timings(
-            lambda camera: answers.timings(drawing.timings(camera, scenes=scenes)), cameras
+            lambda camera: returned.timings(drawing.timings(camera, scenes=scenes)), cameras
         )
         context.peak_host_bytes, context.peak_device_bytes = peak_host_bytes(), peak_device_bytes(self.device)
         decoding, decoded_seconds = _decoding(
@@ -271,7 +271,7 @@ class Measure(ModelJob):
 
         def draw(camera: Camera) -> tuple[NDArray[Any], NDArray[Any]]:
             answer = drawing.render(camera, scenes=scenes, edit=edit, background=background)
-            return answers.picture(answer, camera)
+            return returned.picture(answer, camera)
 
         views = truth.views(self.split)
         return MeasureResult(
@@ -282,7 +282,7 @@ class Measure(ModelJob):
             decoding=decoding,
             frame_seconds_decoding=decoded_seconds,
             parts_ruler=RULERS["parts"],
-            primitives=sum(answers.primitives(model.primitives(scene)) for scene in scenes),
+            primitives=sum(returned.primitives(model.primitives(scene)) for scene in scenes),
             **self._scores(context, draw, cameras, views),
             features=_attributes(model, scenes, self.sampled),
             pruning=_pruning(self, context, model, cameras, views) if self.prunable else None,
@@ -365,7 +365,7 @@ def _decoding(
     """When the networks of a model run; if once, the seconds of a frame in which they run too."""
     if not isinstance(model, HasDecoders):
         return "", None
-    decoding = answers.decoding(model.decoding(scenes))
+    decoding = returned.decoding(model.decoding(scenes))
     return decoding, frame_seconds(model.decoding_each_frame()) if decoding == "once" else None
 
 
@@ -404,7 +404,7 @@ def _attributes(model: Model, scenes: Sequence[str], sampled: int) -> dict[str, 
         return {}
     return {
         name: [[float(f"{value:.3g}") for value in row] for row in rows]
-        for name, rows in answers.attributes(model.attributes(scenes[0], sampled)).items()
+        for name, rows in returned.attributes(model.attributes(scenes[0], sampled)).items()
     }
 
 

@@ -348,7 +348,7 @@ def main(folder: Path) -> int:
 
 
 def _again(store: Store, folder: Path, request: dict[str, Any]) -> dict[str, Any]:
-    from econgs_bench.bench.jobs import answers
+    from econgs_bench.bench.jobs import returned
     from econgs_bench.bench.jobs.context import Context
     from econgs_bench.bench.jobs.measure import load_models
     from econgs_bench.bench.jobs.monitor import Progress, Stop
@@ -374,11 +374,11 @@ def _again(store: Store, folder: Path, request: dict[str, Any]) -> dict[str, Any
     for index, camera in enumerate(views.cameras):
         seen = camera_in_units(camera, units)
         answer = model.render(seen, scenes=scenes, edit=job.edits, background=views.background)
-        rgb, alpha = answers.picture(answer, seen)
+        rgb, alpha = returned.picture(answer, seen)
         values, reasons = evaluate(views.images[index], rgb, alpha, views.background, names)
         missing.update(reasons)
         rows.append({"view": camera.name or f"{request['views'][index]:04d}", "metrics": values})
-    primitives = sum(answers.primitives(model.primitives(scene)) for scene in scenes)
+    primitives = sum(returned.primitives(model.primitives(scene)) for scene in scenes)
     return {"views": rows, "missing": missing, "primitives": primitives}
 
 

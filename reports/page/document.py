@@ -16,7 +16,7 @@ from econgs_bench.reports.report import Report
 from econgs_bench.reports.sections.order import family, first, sections
 from econgs_bench.reports.sections.paper.tables import paper_tables
 from econgs_bench.reports.sections.pictures import section as pictures
-from econgs_bench.reports.sections.section import Page, Section, to_html
+from econgs_bench.reports.sections.section import Page, Section, to_html, to_latex, to_markdown
 from econgs_bench.reports.style import absent, counted, label
 from econgs_bench.reports.text import xml_text
 
@@ -39,7 +39,8 @@ def write_report(
     paper: Sequence[PaperTable] | None = None,
     report: Report | None = None,
 ) -> Path:
-    """Write the report, the files of :func:`.reports.files.write_files`, and panels into ``charts/``.
+    """Write the report, its answers and tables as ``.md`` and ``.tex``, and the files of
+    :func:`.reports.files.write_files`; panels go into ``charts/``.
 
     Args:
         tables: the tables of :mod:`.reports.schema`.
@@ -66,6 +67,8 @@ def write_report(
             parts.insert(0, start)
         write_files(report, out.parent, paper)
         name = _name(report.stored["dvr"] if report.results.empty else report.results)
+        write_text(out.with_suffix(".md"), "\n".join([f"# {name}\n", *filter(None, map(to_markdown, parts))]))
+        write_text(out.with_suffix(".tex"), "\n".join(filter(None, map(to_latex, parts))))
         head = _head(name, report.measured, parts, [one.sentence for one in report.remarks])
         write_text(out, xml_text(_document(name, head, parts)))
     return out

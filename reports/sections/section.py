@@ -97,7 +97,9 @@ def to_html(section: Section) -> str:
 
 
 def to_markdown(section: Section, level: int = 2) -> str:
-    """Heading, answer and tables; charts are named by their files."""
+    """Heading, answer, charts by their files, tables; "" for a section that only a page can show."""
+    if not (section.answer or section.charts or section.tables or section.files):
+        return ""
     parts = [f"{'#' * level} {markdown_cell(section.title)}\n"]
     mark = "- " if len(section.answer) > 1 else ""
     parts += ["\n".join(f"{mark}**{markdown_cell(each)}**" for each in section.answer) + "\n"] * bool(
@@ -107,13 +109,9 @@ def to_markdown(section: Section, level: int = 2) -> str:
     parts += [f"![{markdown_cell(section.title)}](charts/{name}.svg)\n" for name in section.charts]
     parts += [f"{markdown_cell(each.caption)}\n\n{tables.to_markdown(each)}" for each in section.tables]
     parts += [f"{markdown_cell(section.note)}\n"] * bool(section.note)
+    links = ", ".join(f"[{markdown_cell(name)}]({file})" for file, name in section.files.items())
+    parts += [f"Files: {links}.\n"] * bool(links)
     return "\n".join(parts)
-
-
-def to_text(section: Section, width: int) -> str:
-    """Heading, answer and tables for a terminal of so many characters."""
-    parts = [section.title, *section.answer, *(tables.to_text(each, width) for each in section.tables)]
-    return "\n".join([*parts, *([section.note] if section.note else [])])
 
 
 def to_latex(section: Section) -> str:

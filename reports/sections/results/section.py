@@ -45,9 +45,18 @@ def details(row: Any) -> list[str]:
     ]
 
 
+FILES = {
+    "results.csv": "CSV", "results.md": "Markdown", "results.tex": "LaTeX", "charts/": "charts",
+    "report.md": "answers and tables of this page in Markdown", "report.tex": "in LaTeX",
+}  # fmt: skip
+"""File beside the page -> its name."""
+
+
 def section(page: Page) -> Section | None:
     """The table with its controls, the meaning of its columns, and the unfinished runs."""
-    return None if page.folder is None else Section("results", "Results", html=_html(page.report))
+    return (
+        None if page.folder is None else Section("results", "Results", html=_html(page.report), files=FILES)
+    )
 
 
 def _html(report: Report) -> str:
@@ -255,8 +264,6 @@ def _notes(report: Report, names: list[str], writer: _Rows) -> str:
         )
     for remark in (replaced(report.stored.get("superseded")), *notes(results)):
         note += f"<b>{escape(remark)}</b> " if remark else ""
-    note += 'Files: <a href="results.csv">CSV</a>, <a href="results.md">Markdown</a>, '
-    note += '<a href="results.tex">LaTeX</a>, <a href="charts/">charts</a>.'
     meanings = "".join(
         f"<dt>{escape(by_name(name).header)}</dt><dd>{escape(by_name(name).doc)}</dd>"
         for name in names

@@ -38,7 +38,9 @@ def section(page: Page) -> Section | None:
     heads = ["Dataset", "Method", *(axis.capitalize() for axis in several), "PSNR [dB]", "95 % interval"]
     heads += ["Over seeds", "To the highest [dB]", "95 % of the difference", "Ranking"]
     table = Table("PSNR, its uncertainty, and differences", heads, rows)
-    files = {"intervals.csv": "intervals of all metrics", "comparisons.csv": "all pairs of methods"}
+    files = {"intervals.csv": "intervals of all metrics"}
+    if not every[1].empty:
+        files["comparisons.csv"] = "all pairs of methods"
     return Section("confidence", "Uncertainty", words=_WORDS, tables=[table], files=files)
 
 

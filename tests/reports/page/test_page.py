@@ -107,6 +107,20 @@ def test_a_normal_report_is_whole_and_works_offline(maker):
     assert all((maker.root / f"results.{ending}").stat().st_size for ending in ("csv", "md", "tex"))
 
 
+def test_the_page_in_markdown_has_its_answers_and_tables_and_names_files_that_are_there(maker):
+    fill(maker, "normal")
+    _, text = page(maker)
+    written = (maker.root / "report.md").read_text(encoding="utf-8")
+    titles = re.findall(r"^## (.*)$", written, re.MULTILINE)
+    assert {"Results", "Uncertainty"} <= set(titles)
+    assert all(title in text for title in titles)
+    for row in re.findall(r"^\| (.*) \|$", written, re.MULTILINE):
+        assert all(cell.replace("\\", "").replace("*", "") in text for cell in row.split(" | ")), row
+    for file in re.findall(r"[^!]\[[^]]+\]\(([^)]+)\)", written):
+        assert (maker.root / file).exists() or file == "charts/", file
+    assert (maker.root / "report.tex").read_text(encoding="utf-8").count(r"\begin{tabular}") >= 2
+
+
 def test_names_are_text_whatever_they_hold(maker):
     name = '$\\frac{x$ <!--<script>alert(1)</script> & "q"'
     for dataset in (name, "vortex"):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from econgs_bench.bench.jobs import answers, views
+from econgs_bench.bench.jobs import returned, views
 from econgs_bench.bench.jobs.monitor import Progress, Stop
 from econgs_bench.bench.jobs.views import ViewsResult
 from econgs_bench.bench.run import worker
@@ -24,7 +24,7 @@ RGB, ALPHA = np.zeros((3, 5, 3), np.float32), np.ones((3, 5), np.float32)
 
 @pytest.mark.parametrize("part", [np.asarray, torch.from_numpy])
 def test_a_picture_of_floats_passes(part) -> None:
-    rgb, alpha = answers.picture((part(RGB), part(ALPHA)), CAMERA)
+    rgb, alpha = returned.picture((part(RGB), part(ALPHA)), CAMERA)
     assert (rgb == RGB).all()
     assert (alpha == ALPHA).all()
 
@@ -44,20 +44,20 @@ def test_a_picture_of_floats_passes(part) -> None:
 )
 def test_no_picture(answer, words) -> None:
     with pytest.raises(RuntimeError, match=f"{words}.* in view r_1"):
-        answers.picture(answer, CAMERA)
+        returned.picture(answer, CAMERA)
 
 
 def test_a_picture_that_is_not_finite() -> None:
     with pytest.raises(FloatingPointError, match="not finite in view r_1"):
-        answers.picture((RGB, ALPHA * np.inf), CAMERA)
+        returned.picture((RGB, ALPHA * np.inf), CAMERA)
 
 
 @pytest.mark.parametrize(
     ("check", "good", "bad"),
     [
-        (answers.primitives, (0, np.int64(3)), (-1, 1.0, float("nan"), "3", None)),
-        (answers.timings, ({}, {"a": 1.0}), (None, [1.0], {"a": float("nan")}, {"a": "1"}, {1: 1.0})),
-        (answers.ledger, ({}, {"": {"a": 1}}), (None, [1], {"": 1}, {"": {"a": 1.0}}, {"": {"a": "1"}})),
+        (returned.primitives, (0, np.int64(3)), (-1, 1.0, float("nan"), "3", None)),
+        (returned.timings, ({}, {"a": 1.0}), (None, [1.0], {"a": float("nan")}, {"a": "1"}, {1: 1.0})),
+        (returned.ledger, ({}, {"": {"a": 1}}), (None, [1], {"": 1}, {"": {"a": 1.0}}, {"": {"a": "1"}})),
     ],
 )
 def test_counts_timings_and_ledgers(check, good, bad) -> None:
@@ -69,10 +69,10 @@ def test_counts_timings_and_ledgers(check, good, bad) -> None:
 
 
 def test_attributes_are_finite_rows() -> None:
-    assert answers.attributes({"a": torch.ones(2, 3)})["a"].shape == (2, 3)
+    assert returned.attributes({"a": torch.ones(2, 3)})["a"].shape == (2, 3)
     for value in (None, {"a": "red"}, {"a": np.ones(3)}, {"a": np.full((2, 2), np.nan)}):
         with pytest.raises(RuntimeError):
-            answers.attributes(value)
+            returned.attributes(value)
 
 
 def test_a_number_that_no_record_holds_is_a_failure_that_names_it(tmp_path, monkeypatch) -> None:
