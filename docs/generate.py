@@ -53,8 +53,7 @@ from econgs_bench.reports.clocks import CLOCKS, Clocks
 from econgs_bench.reports.report import Report
 from econgs_bench.reports.schema import records
 from econgs_bench.reports.sections import order
-from econgs_bench.reports.sections.answers import contest
-from econgs_bench.reports.sections.answers.conclusion import scope
+from econgs_bench.reports.sections.answers import section as answers
 from econgs_bench.reports.sections.ladders import conclusion as ladders
 from econgs_bench.reports.sections.ladders import table as ladder_table
 from econgs_bench.reports.sections.ladders.table import climbed
@@ -62,13 +61,15 @@ from econgs_bench.reports.sections.order import chart_sections
 from econgs_bench.reports.sections.paper.documents import to_markdown
 from econgs_bench.reports.sections.paper.tables import paper_tables
 from econgs_bench.reports.sections.paper.values import PaperTable
-from econgs_bench.reports.sections.races import conclusion as races
-from econgs_bench.reports.sections.rates import conclusion as rates
-from econgs_bench.reports.sections.unseen import conclusion as unseen
-from econgs_bench.reports.sections.volumes import conclusion as volumes
+from econgs_bench.reports.sections.races import section as races
+from econgs_bench.reports.sections.rates import section as rates
+from econgs_bench.reports.sections.section import Page, Section
+from econgs_bench.reports.sections.unseen import section as unseen
+from econgs_bench.reports.sections.volumes import section as volumes
 from econgs_bench.reports.statistics import Views
 from econgs_bench.reports.style import MISSING, PAPER, TITLES, label
 from econgs_bench.reports.tables.protocols import by_scene_choice
+from econgs_bench.reports.tables.table import Table
 
 ROOT = Path(__file__).resolve().parents[1]
 MEASURED = ROOT / "reports" / "measured"
@@ -126,56 +127,20 @@ def tables(bundles: tuple[str, ...]) -> dict[str, pd.DataFrame]:
         return build_tables(Store(Path(folder)), Registry().specs, write=False)
 
 
-class Part(NamedTuple):
-    """A section of the report: text, heads and rows of its table, and the columns behind its numbers."""
-
-    text: str
-    heads: Iterable[str]
-    rows: list[list[str]]
-    columns: tuple[str, ...] = ("psnr",)
-
-
-def _answers(report: Report) -> Part:
-    rows = [[f"**{one.title}**", one.sentence] for one in order.answers(report)]
-    return Part(f"**{scope(contest.of_report(report)[0])}**", ("", ""), rows, ("psnr", *CLOCKS))
-
-
-def _races(report: Report) -> Part:
-    found, leads = races.of_report(report), order.family(report)
-    rows = [races.row(race, lead, leads) for race in found for lead in race.leads]
-    text = f"**{' '.join(races.conclusion(found, leads))}**"
-    return Part(text, races.HEADS, rows, ("psnr", "train_seconds"))
-
-
-def _rates(report: Report) -> Part:
-    pairs = rates.of_report(report)
-    text = f"**{rates.conclusion(pairs, order.family(report))}**"
-    return Part(text, rates.HEADS, [rates.row(one) for one in pairs])
-
-
-def _unseen(report: Report) -> Part:
-    targets = unseen.targets(report.results)
-    return Part(f"**{unseen.conclusion(targets)}**", unseen.HEADS, unseen.rows(targets))
-
-
-def _volumes(report: Report) -> Part:
-    verdicts = volumes.payoffs(report.curves)
-    return Part(f"**{volumes.conclusion(verdicts)}**", volumes.HEADS, [volumes.row(one) for one in verdicts])
-
-
-def _ladders(report: Report) -> Part:
+def _ladders(page: Page) -> Section:
     """Where each method breaks first, in sentences, and the first break of each method on each ladder."""
-    rungs = ladder_table.of_report(report)
+    rungs = ladder_table.of_report(page.report)
     climbs = climbed(rungs[rungs["variant"] == ""])
     own = ladders.by_method(climbs)
     methods = sorted({climb["method"] for climb in climbs}, key=METHODS.index)
-    text = "".join(f"- {ladders.verdict(own[method, ''])}\n" for method in methods)
+    answer = [ladders.verdict(own[method, ""]) for method in methods]
     rows = []
     for ladder in dict.fromkeys(climb["ladder"] for climb in climbs):
         each = {climb["method"]: climb for climb in climbs if climb["ladder"] == ladder}
         name = f"**{ladder}**: {next(iter(each.values()))['purpose']}"
         rows.append([name, *(_first_break(each.get(method)) for method in methods)])
-    return Part(text, ("ladder", *(TITLES.get(name, name) for name in methods)), rows)
+    heads = ("ladder", *(TITLES.get(name, name) for name in methods))
+    return Section("ladders", "", answer, tables=[Table("", heads, rows)])
 
 
 def _first_break(climb: dict[str, Any] | None) -> str:
@@ -186,22 +151,28 @@ def _first_break(climb: dict[str, Any] | None) -> str:
     return f"`{climb['rung']}` {', '.join(filter(None, [climb['failure'], ladders.amount(climb)]))}"
 
 
-SECTIONS: dict[str, Callable[[Report], Part]] = {
-    "answers": _answers, "races": _races, "rates": _rates, "unseen": _unseen,
-    "volumes": _volumes, "ladders": _ladders,
+SECTIONS: dict[str, Callable[[Page], Section | None]] = {
+    "answers": answers.section, "races": races.section, "rates": rates.section, "unseen": unseen.section,
+    "volumes": volumes.section, "ladders": _ladders,
 }  # fmt: skip
+COLUMNS = {"answers": ("psnr", *CLOCKS), "races": ("psnr", "train_seconds")}
+"""Section -> the columns behind its numbers, if not PSNR alone."""
 
 
 def verdict(block: dict[str, Any]) -> str:
     """What a section of the report concludes, its table, and a line with the conditions."""
-    report = _report(tuple(block["bundles"]), block.get("where", "index >= 0"))
-    part = SECTIONS[block["section"]](report)
-    if not part.rows:
+    report, name = _report(tuple(block["bundles"]), block.get("where", "index >= 0")), block["section"]
+    section = SECTIONS[name](Page(report, order.family(report)))
+    if section is None or not section.tables[0].rows:
         raise SystemExit(f"nothing of the kind for {block}")
+    many = name == "ladders"
+    answer = "\n".join(f"- {each}" for each in section.answer) if many else f"**{' '.join(section.answer)}**"
     if not block.get("table", True):
-        return f"{part.text}\n"
-    line = conditions(report.measured, columns=part.columns)
-    return f"{part.text}\n\n{markdown(part.heads, part.rows)}\n{line}"
+        return f"{answer}\n"
+    line = conditions(report.measured, columns=COLUMNS.get(name, ("psnr",)))
+    (table,) = section.tables
+    rows = [[f"**{head}**", *cells] for head, *cells in table.rows] if name == "answers" else table.rows
+    return f"{answer}\n\n{markdown(table.heads, rows)}\n{line}"
 
 
 @cache

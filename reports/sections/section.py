@@ -64,7 +64,7 @@ class Section:
         note: remarks below the tables.
         files: file beside the page -> what it is called.
         html: what only a page has, after the tables.
-        layout: whether the page has the charts above the tables; else they are in ``html``.
+        layout: whether the page lays out what is above; else all of it is in ``html``, in a form of its own.
     """
 
     anchor: str
@@ -81,19 +81,21 @@ class Section:
 
 def to_html(section: Section) -> str:
     """What is below the heading on the page."""
+    parts = _laid_out(section) if section.layout else []
+    notes = dict.fromkeys(chart.note for chart in section.charts.values() if chart.note)
+    return "".join([*parts, section.html, *(f'<p class="note">{escape(note)}</p>' for note in notes)])
+
+
+def _laid_out(section: Section) -> list[str]:
+    """Answer, charts, tables, note and links to files."""
     sentences = [f"<b>{escape(sentence)}</b>" for sentence in section.answer]
     answer = "".join(f"<li>{each}</li>" for each in sentences)
     parts = [f"<ul>{answer}</ul>" if len(sentences) > 1 else f"<p>{sentences[0]}</p>" if sentences else ""]
-    parts += [
-        f"<p>{escape(section.words)}</p>" if section.words else "",
-        _charts(section.charts) if section.layout else "",
-    ]
+    parts += [f"<p>{escape(section.words)}</p>" if section.words else "", _charts(section.charts)]
     parts += [tables.to_html(each) for each in section.tables]
     parts += [f'<p class="note">{escape(section.note)}</p>' if section.note else ""]
     links = ", ".join(f'<a href="{file}">{escape(name)}</a>' for file, name in section.files.items())
-    parts += [f'<p class="note">Files: {links}.</p>' if links else "", section.html]
-    notes = dict.fromkeys(chart.note for chart in section.charts.values() if chart.note)
-    return "".join([*parts, *(f'<p class="note">{escape(note)}</p>' for note in notes)])
+    return [*parts, f'<p class="note">Files: {links}.</p>' if links else ""]
 
 
 def to_markdown(section: Section, level: int = 2) -> str:

@@ -16,6 +16,7 @@ from econgs_bench.reports.sections.answers.chart import decisions
 from econgs_bench.reports.sections.answers.conclusion import BEST_PICTURE, answers_of, scope
 from econgs_bench.reports.sections.section import Page, Section
 from econgs_bench.reports.style import Model, counted, label, look, model_named
+from econgs_bench.reports.tables.table import Table
 
 if TYPE_CHECKING:
     from econgs_bench.reports.charts.chart import Chart
@@ -44,7 +45,9 @@ def section(page: Page) -> Section | None:
         f'<div class="answer"><dl>{entries}</dl>{_charts(charts)}</div>'
         f"<p>{escape(scope(every[0]))}</p>{_matrix(found, every[0], models, page.anchors)}"
     )
-    return Section("answers", "Which method?", charts=charts, html=html, layout=False)
+    table = Table("", ("", ""), [[answer.title, answer.sentence] for answer in found])
+    answer = [scope(every[0])]
+    return Section("answers", "Which method?", answer, "", charts, [table], html=html, layout=False)
 
 
 def _entry(answer: Answer, models: list[Model]) -> str:
