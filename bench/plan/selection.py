@@ -10,6 +10,7 @@ from econgs_bench.bench.plan import inputs
 from econgs_bench.bench.store.records import Request
 from econgs_bench.bench.suites.suite import Suite, ViewPreset
 from econgs_bench.datasets.catalogue import list_datasets, open_dataset
+from econgs_bench.datasets.catalogue.evaluation import check_choice
 from econgs_bench.datasets.content import composition_hash, fingerprint
 from econgs_bench.datasets.errors import DataError, UnknownName
 from econgs_bench.datasets.names import unknown
@@ -91,7 +92,7 @@ def subsets(selection: Selection, preset: ViewPreset) -> list[Subset]:
     for name in sources:
         try:
             source = inputs.absolute(name)
-            dataset = open_dataset(source)
+            dataset = _opened(selection, source)
             names = {*(scene.name for scene in dataset.scenes), *dataset.compositions}
             all_scenes |= names
             all_compositions |= set(dataset.compositions)
@@ -144,7 +145,15 @@ def subset_of_scene(selection: Selection, preset: ViewPreset, place: str) -> Sub
     if selection.scenes and scene not in selection.scenes:
         return None
     source = inputs.absolute(name)
-    return _subset(source, open_dataset(source), (scene,), (), preset, selection.samples)
+    return _subset(source, _opened(selection, source), (scene,), (), preset, selection.samples)
+
+
+def _opened(selection: Selection, source: str) -> Dataset:
+    """A dataset; one for evaluation alone only where it is measured on test views."""
+    dataset = open_dataset(source)
+    if selection.split == "val":
+        check_choice(dataset)
+    return dataset
 
 
 def _available(suite: Suite) -> set[str]:
