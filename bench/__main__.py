@@ -55,6 +55,7 @@ COMMANDS = {
     "gate": ("gate:gate", "compare a run store with a baseline: 0 pass, 1 worse, 2 not measured, 3 error"),
     "bundle": ("stores:bundle", "pack a run store's records, tables and environments to hand in"),
     "verify": ("stores:verify", "check that a bundle contradicts itself nowhere: 0 it holds, 1 not"),
+    "site": ("site:site", "write a static site of bundles: answers, datasets, methods, submissions"),
     "repair": ("stores:repair", "set damaged records of a run store aside, so that their jobs run again"),
     "cache": ("stores:cache", "ground-truth cache: what it takes, or make it smaller"),
 }

@@ -81,7 +81,7 @@ def _write_rates(report: Report, folder: Path) -> None:
 
     for dataset, rows in report.curves.items():
         for curve in rows:
-            path = folder / "curves" / _file_name(dataset) / f"{_file_name(curve.title)}.json"
+            path = folder / "curves" / file_name(dataset) / f"{file_name(curve.title)}.json"
             write_text(path, json.dumps(curve.exchange(), indent=1) + "\n")
     if differences := rates.of_report(report):
         table = pd.DataFrame([asdict(difference) for difference in differences])
@@ -92,7 +92,7 @@ def _write_rates(report: Report, folder: Path) -> None:
         write_text(folder / "bd-rate.csv", to_csv(table))
 
 
-def _file_name(title: str) -> str:
+def file_name(title: str) -> str:
     """A title as a file name that is valid on every system."""
     return short_name(re.sub(r"[^A-Za-z0-9._=+-]+", "-", title).strip("-.") or "unnamed")
 

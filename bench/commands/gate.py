@@ -83,6 +83,11 @@ def gate_arguments(parser: ArgumentParser) -> None:
         help="print the smallest losses that the baseline shows, without a run",
     )
     parser.add_argument("--markdown", metavar="FILE", help="write a summary for a comment on a change")
+    parser.add_argument(
+        "--format", choices=("github-benchmark", "bmf"),
+        help="print the run's values as JSON for a service that charts them over commits, and the verdict to "
+        "standard error: benchmark-action's list of smaller-is-better values, or Bencher's metric format",
+    )  # fmt: skip
     parser.add_argument("--junit", metavar="FILE", help="write the summary as JUnit's XML")
 
 
@@ -90,6 +95,7 @@ def gate(options: Namespace) -> int:
     """Compare a store with a baseline; the exit code says pass, worse, not measured or error."""
     from econgs_bench.bench.gate import text
     from econgs_bench.bench.gate.baseline import read
+    from econgs_bench.bench.gate.charted import charted
     from econgs_bench.bench.gate.judgement import judged
     from econgs_bench.bench.gate.power import markdown
 
@@ -97,14 +103,16 @@ def gate(options: Namespace) -> int:
         if options.power:
             print(markdown(read(Path(options.baseline)), times=not options.without_times))
             return 0
-        verdict, content = judged(
+        verdict, content, cells = judged(
             Path(options.baseline), Path(options.store), times=not options.without_times
         )
     except DataError as error:
         print(f"bench: {error}", file=sys.stderr)
         return ERROR
     for line in text.lines(verdict):
-        print(line)
+        print(line, file=sys.stderr if options.format else sys.stdout)
+    if options.format:
+        print(charted(cells, options.format))
     try:
         if options.markdown:
             write_text(Path(options.markdown), text.markdown(verdict, content))

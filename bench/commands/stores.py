@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
 import tempfile
-import uuid
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterable
 from contextlib import ExitStack
@@ -27,6 +25,7 @@ from econgs_bench.bench.results.rungs import ladders_of
 from econgs_bench.bench.results.rungs import remember as remember_ladders
 from econgs_bench.bench.results.tables import build_tables
 from econgs_bench.bench.run.plugins import remember, resolved
+from econgs_bench.bench.store.joining import join
 from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.errors import DataError, printable
 from econgs_bench.reports.progress import step
@@ -57,20 +56,8 @@ def _merge(sources: list[Store], options: Namespace) -> int:
         if source.root == target.root:
             raise DataError(source.root, "is the target itself", "Name the other stores only")
         step(f"joining the jobs of {source.root}")
-        for record in source.records():
-            name = record.job.id
-            with target.lease(name) as lease:
-                there = target.record(name)
-                if there is not None and (there.ok or not record.ok):
-                    kept += 1
-                    continue
-                aside = target.partial / f"merge-{uuid.uuid4().hex}"
-                try:
-                    shutil.copytree(source.jobs / name, aside)
-                    target.put_in_place(aside, name, lease)
-                finally:
-                    shutil.rmtree(aside, ignore_errors=True)
-                taken += 1
+        new, there = join(source, target)
+        taken, kept = taken + new, kept + there
     for source in sources:
         remember_ladders(target, ladders_of(source.root))
         report_damage(source)

@@ -6,14 +6,14 @@ from pathlib import Path
 
 from econgs_bench.bench.gate.audit import audit
 from econgs_bench.bench.gate.baseline import Baseline, read
-from econgs_bench.bench.gate.cells import cells_of
+from econgs_bench.bench.gate.cells import Cell, Key, cells_of
 from econgs_bench.bench.gate.verdict import Verdict, compare
 from econgs_bench.bench.results.tables import build_tables
 from econgs_bench.bench.store.store import Store
 
 
-def judged(path: Path, root: Path, *, times: bool = True) -> tuple[Verdict, Baseline]:
-    """Verdict and baseline.
+def judged(path: Path, root: Path, *, times: bool = True) -> tuple[Verdict, Baseline, dict[Key, Cell]]:
+    """Verdict, baseline, and the cells of the run.
 
     Args:
         path: the baseline file.
@@ -26,6 +26,7 @@ def judged(path: Path, root: Path, *, times: bool = True) -> tuple[Verdict, Base
     baseline = read(path)
     store = Store(root)
     tables = build_tables(store, write=False)
-    verdict = compare(baseline, cells_of(store, tables), times=times)
+    cells = cells_of(store, tables)
+    verdict = compare(baseline, cells, times=times)
     verdict.add(audit(tables))
-    return verdict, baseline
+    return verdict, baseline, cells

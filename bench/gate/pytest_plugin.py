@@ -33,7 +33,7 @@ def pytest_collection_modifyitems(
 
     times = config.getoption("--bench-times")
     try:
-        verdict, _ = judged(Path(path), Path(config.getoption("--bench-store")), times=times)
+        verdict, _, _ = judged(Path(path), Path(config.getoption("--bench-store")), times=times)
     except DataError as error:
         raise pytest.UsageError(str(error)) from error
     for cell, findings in findings_by_cell(verdict).items():

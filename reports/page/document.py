@@ -67,18 +67,28 @@ def write_report(
             parts.insert(0, start)
         write_files(report, out.parent, paper)
         name = _name(report.stored["dvr"] if report.results.empty else report.results)
-        write_text(out.with_suffix(".md"), "\n".join([f"# {name}\n", *filter(None, map(to_markdown, parts))]))
-        write_text(out.with_suffix(".tex"), "\n".join(filter(None, map(to_latex, parts))))
+        write_text(
+            out.with_name("report.md"), "\n".join([f"# {name}\n", *filter(None, map(to_markdown, parts))])
+        )
+        write_text(out.with_name("report.tex"), "\n".join(filter(None, map(to_latex, parts))))
         head = _head(name, report.measured, parts, [one.sentence for one in report.remarks])
-        write_text(out, xml_text(_document(name, head, parts)))
+        write_text(out, xml_text(document(name, head, parts)))
     return out
 
 
-def _document(name: str, head: str, parts: list[Section]) -> str:
+def document(name: str, head: str, parts: Sequence[Section], *, folded: bool = True) -> str:
+    """A page of sections.
+
+    Args:
+        name: its title.
+        head: HTML above the sections.
+        parts: the sections.
+        folded: whether those after the answers are closed at first.
+    """
     body = "\n".join(
         f'<section aria-labelledby="{part.anchor}"><h2 id="{part.anchor}">{escape(part.title)}</h2>\n'
         f"{to_html(part)}</section>"
-        if _is_open(part, parts)
+        if not folded or _is_open(part, parts)
         else f'<details class="part"><summary><h2 id="{part.anchor}">{escape(part.title)}</h2></summary>\n'
         f"{to_html(part)}</details>"
         for part in parts
@@ -102,7 +112,7 @@ def _document(name: str, head: str, parts: list[Section]) -> str:
     )
 
 
-def _is_open(part: Section, parts: list[Section]) -> bool:
+def _is_open(part: Section, parts: Sequence[Section]) -> bool:
     """Whether a section is unfolded: the answers, and pictures; all of them in a report without answers."""
     return (
         part.anchor == "answers"

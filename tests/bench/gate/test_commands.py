@@ -72,6 +72,23 @@ def test_the_same_run_passes_and_its_models_are_equal(gate: Bench) -> None:
     assert done.stdout.splitlines()[-1].startswith("pass: 2 results; nothing differs")
 
 
+@pytest.mark.parametrize("form", ["bmf", "github-benchmark"])
+def test_values_are_printed_for_services_that_chart_them(gate: Bench, form: str) -> None:
+    done = gate("gate", "--baseline", "base.json", "--without-times", "--format", form, code=0)
+    assert done.stderr.splitlines()[-1].startswith("pass: 2 results")
+    values = json.loads(done.stdout)
+    results = gate.tables()["results"]
+    psnr = results[results["scene"] == "a"]["psnr"]
+    if form == "bmf":
+        (own,) = (own for title, own in values.items() if title.startswith("tiny/a "))
+        assert own["psnr"]["value"] == pytest.approx(psnr.mean())
+        assert own["psnr"]["lower_value"] == pytest.approx(psnr.min())
+    else:
+        (own,) = (one for one in values if one["name"].startswith("tiny/a ") and "RMSE" in one["name"])
+        assert own["value"] == pytest.approx(255 * 10 ** (-psnr.mean() / 20))
+        assert all(isinstance(one["value"], float | int) for one in values)
+
+
 def test_a_loss_is_found_and_reported_in_three_forms(gate: Bench, tmp_path: Path) -> None:
     def darker(record) -> None:
         for view in record["measure"]["views"]:
