@@ -78,8 +78,8 @@ def export(options: Namespace) -> int:
     count = len(truth.cameras("test"))
     views = truth.views("test", range(0, count, max(1, -(-count // _MEASURED))))
     print(
-        f"PSNR [dB] in {len(views.cameras)} test views of {scene}: against the truth in {viewer} viewers, and\n"
-        "against the model's own pictures at several sizes in both kinds of viewers"
+        f"PSNR [dB] in {len(views.cameras)} test views of {scene}: against the truth in {viewer} viewers,\n"
+        "and against the model's own pictures at several sizes in both kinds of viewers"
     )
     heads = "  ".join(
         f"{f'{name} {SIZES[0]}x':>15}{''.join(f'{one:>6}x' for one in SIZES[1:])}" for name in VIEWERS
@@ -209,7 +209,9 @@ def _model(gaussians: SceneGaussians) -> Model:
 
 
 def _measured(models: Sequence[Model], scene: str, views: ViewSet, viewer: str) -> list[list[float]]:
-    """Mean PSNR of models against the truth, and of all but the first against its pictures by viewer, size."""
+    """Mean PSNR of models: against the truth; of all but the first against its own pictures,
+    by viewer and size.
+    """
     import numpy as np
 
     from econgs_bench.bench.metrics import evaluate
@@ -228,14 +230,14 @@ def _measured(models: Sequence[Model], scene: str, views: ViewSet, viewer: str) 
     }
     count = len(views.cameras)
     rows = []
-    for done, model in enumerate([own, *drawn[viewer]], 1):
+    for done, model in enumerate([own, *drawn[viewer]]):
         step("measuring against the truth", done, len(models))
         pairs = zip(views.cameras, views.images, strict=True)
         rows.append([sum(psnr(model, camera, image) for camera, image in pairs) / count])
     chosen = views.cameras[:: max(1, -(-count // _ENLARGED))]
     sums = np.zeros((len(others), len(VIEWERS), len(SIZES)))
     for size in range(len(SIZES)):
-        for done, camera in enumerate(chosen, 1):
+        for done, camera in enumerate(chosen):
             step(f"measuring at {SIZES[size]} times the size", done, len(chosen))
             larger = enlarged(camera, SIZES[size])
             image = np.dstack(picture(own, larger, [scene], {}, (0.0, 0.0, 0.0)))

@@ -1,6 +1,6 @@
 """Does an exported file look right in a viewer? Draws it in Spark, in headless Chromium, beside the model.
 
-python -m tools.proofs.viewers JOB FILE --runs DIR [--packages DIR] [--views 4] [--out DIR] [--option NAME=VALUE]
+python -m tools.proofs.viewers JOB FILE --runs DIR [--packages DIR] [--views 4] [--out DIR] [--option NAME=1]
 
 FILE is what `bench export JOB` wrote (ply, spz, sog). The packages @sparkjsdev/spark and three come from npm,
 once per folder. Prints, at 1, 2 and 4 times the size of the test views, the PSNR against the model's own
