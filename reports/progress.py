@@ -79,7 +79,7 @@ class Watch:
         """Name what is done from now on; its clock starts where the text is another."""
         if text != self._text:
             self._text, self._begun, self._lines = text, time.monotonic(), 0
-        self._share = f", {done} of {total}" if total else ""
+        self._done, self._total = done, total
 
     def hush(self, silent: bool) -> None:
         """Show nothing, or go on."""
@@ -89,7 +89,13 @@ class Watch:
     def beat(self, now: float) -> None:
         """Show the line if it is due."""
         silent = now - max(self._streams.written, self._begun)
-        line = f"bench: {one_line(self._text)}{self._share}, {now - self._begun:.0f} s"
+        spent = now - self._begun
+        line = f"bench: {one_line(self._text)}"
+        if self._total:
+            line += f", {self._done} of {self._total}"
+        line += f", {spent:.0f} s"
+        if 0 < self._done < self._total:
+            line += f", {spent * (self._total - self._done) / self._done:.0f} s left"
         if self._hushed:
             return
         if self._streams.live:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,15 +17,21 @@ from econgs_bench.datasets.names import unknown
 from econgs_bench.reports.progress import step
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from econgs_bench.bench.jobs.truth import Truth
     from econgs_bench.datasets.camera import Camera
+    from econgs_bench.datasets.scene import RGB
     from econgs_bench.datasets.views import Split, ViewSet
     from econgs_bench.methods.gaussian_splatting.model import SceneGaussians
     from econgs_bench.methods.interface import Model
 
 FORMATS = ("ply", "spz", "sog", "glb")
-_MEASURED = 8
-"""Test views on which the cost is measured."""
+SIZES = (1, 2, 4)
+"""Multiples of the size of test views at which pictures are compared."""
+_MEASURED, _ENLARGED = 8, 4
+"""Test views that are compared with the truth, and with the model's own pictures at all sizes."""
 
 
 def export_arguments(parser: ArgumentParser) -> None:
@@ -39,6 +45,12 @@ def export_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--scene", help="which, if the model holds several")
     parser.add_argument(
+        "--viewer", choices=("antialiased", "plain"),
+        help="viewers that shrink opacities to compensate for their filter of 0.3 px², or that do not "
+        "(default: antialiased; plain where the model is drawn so itself)",
+    )  # fmt: skip
+    parser.add_argument("--spz-version", type=int, choices=(3, 4), help="of the format spz (default: 3)")
+    parser.add_argument(
         "--distil", type=iterations, default=1_000, metavar="N",
         help="iterations against the model's own pictures, where it has to be baked; 0: none (default: 1000)",
     )  # fmt: skip
@@ -47,7 +59,7 @@ def export_arguments(parser: ArgumentParser) -> None:
 
 def export(options: Namespace) -> int:
     """Write the file, and say what it costs in the test views of the run store."""
-    from econgs_bench.methods.gaussian_splatting.model import GaussianModel
+    from econgs_bench.methods.baking.bake import VIEWERS
 
     file, name = Path(options.out), _format(options)
     store = Store(Path(options.runs))
@@ -55,25 +67,33 @@ def export(options: Namespace) -> int:
     step(f"loading {options.model}")
     method, scenes, size, model = load(store, options.model, folders, options.device)
     scene = _scene(options, scenes, model)
-    truth, split = _truth(store, options.model, scene)
+    truth, split = truth_of(store, options.model, scene)
+    viewer, stages = _plain(model, scene, truth.cameras(split), truth.scene().background, options)
+    gaussians = next(reversed(stages.values()))
+    step(f"writing {file}")
+    written = _written(file, name, gaussians, viewer, options.spz_version)
+    rows = [(f"{method}, as it is", size, model)]
+    rows += [(title, one.rows().nbytes, _model(one)) for title, one in stages.items() if title]
+    rows.append((str(file), written, _model(_read(file, name, gaussians))))
     count = len(truth.cameras("test"))
     views = truth.views("test", range(0, count, max(1, -(-count // _MEASURED))))
-    cameras = truth.cameras(split)
-    step("measuring the model as it is")
-    rows = [(f"{method}, as it is", size, model.primitives(scene), _psnr(model, scene, views))]
-
-    def measure(title: str, gaussians: SceneGaussians) -> None:
-        plain = GaussianModel([gaussians])
-        rows.append((title, plain.bytes_estimate(), len(gaussians), _psnr(plain, scene, views)))
-
-    gaussians = _plain(model, scene, cameras, views, options.distil, measure)
-    step(f"writing {file}")
-    size = _written(file, name, gaussians)
-    step(f"measuring {file}")
-    rows.append((str(file), size, len(gaussians), _psnr(_read(file, name, gaussians), scene, views)))
-    print(f"PSNR in {len(views.cameras)} test views of {scene}; all but the first as plain viewers draw")
-    for title, count, many, psnr in rows:
-        print(f"{psnr:6.2f} dB  {count:>11,} bytes  {many:>9,} primitives  {title}")
+    print(
+        f"PSNR [dB] in {len(views.cameras)} test views of {scene}: against the truth in {viewer} viewers,\n"
+        "and against the model's own pictures at several sizes in both kinds of viewers"
+    )
+    heads = "  ".join(
+        f"{f'{name} {SIZES[0]}x':>15}{''.join(f'{one:>6}x' for one in SIZES[1:])}" for name in VIEWERS
+    )
+    print(f"{'truth':>7} {heads} {'bytes':>12} {'primitives':>11}")
+    measured = _measured([model for *_, model in rows], scene, views, viewer)
+    for (title, nbytes, one), (psnr, *others) in zip(rows, measured, strict=True):
+        parts = [others[start : start + len(SIZES)] for start in range(0, len(others), len(SIZES))]
+        numbers = "  ".join(
+            f"{part[0]:15.2f}{''.join(f'{value:7.2f}' for value in part[1:])}" for part in parts
+        )
+        print(
+            f"{psnr:7.2f} {numbers or ' ' * len(heads)} {nbytes:>12,} {one.primitives(scene):>11,}  {title}"
+        )
     return 0
 
 
@@ -83,6 +103,10 @@ def _format(options: Namespace) -> str:
     if name not in FORMATS:
         raise DataError(
             options.out, "its suffix names no format", f"Give --format, one of {', '.join(FORMATS)}"
+        )
+    if options.spz_version and name != "spz":
+        raise DataError(
+            options.out, f"--spz-version of the format {name}", "Leave it out, or give --format spz"
         )
     return name
 
@@ -98,7 +122,7 @@ def _scene(options: Namespace, scenes: Sequence[str], model: Model) -> str:
     return scenes[0]
 
 
-def _truth(store: Store, job: str, scene: str) -> tuple[Truth, Split]:
+def truth_of(store: Store, job: str, scene: str) -> tuple[Truth, Split]:
     """The views of a scene that a job's fit saw, and the split that it trained on.
 
     Raises:
@@ -121,46 +145,45 @@ def _truth(store: Store, job: str, scene: str) -> tuple[Truth, Split]:
 
 
 def _plain(
-    model: Model,
-    scene: str,
-    cameras: Sequence[Camera],
-    views: ViewSet,
-    iterations: int,
-    measure: Callable[[str, SceneGaussians], None],
-) -> SceneGaussians:
-    """Plain Gaussians: the model's own, or baked and distilled ones."""
-    from econgs_bench.methods.baking.bake import baked, exact
+    model: Model, scene: str, cameras: Sequence[Camera], background: RGB, options: Namespace
+) -> tuple[str, dict[str, SceneGaussians]]:
+    """Name of the viewers, and plain Gaussians for them by how they were made, the last as they are written.
+
+    Those of a model that is drawn so itself have no title.
+    """
+    from econgs_bench.methods.baking.bake import VIEWERS, baked, exact
     from econgs_bench.methods.baking.distil import distilled
     from econgs_bench.methods.formats.gaussians import drawable
     from econgs_bench.methods.interface import HasGaussians
 
     if not isinstance(model, HasGaussians):
         raise DataError(scene, "its model does not consist of Gaussians", "Export one of another method")
-    own = exact(model, scene)
-    if own is not None:
-        return drawable(own)
+    for viewer in [options.viewer] if options.viewer else reversed(VIEWERS):
+        own = exact(model, scene, VIEWERS[viewer])
+        if own is not None:
+            return viewer, {"": drawable(own)}
     step("baking to plain Gaussians")
-    gaussians = baked(model, scene, cameras, views.background)
-    measure("baked", gaussians)
-    if iterations:
+    gaussians = drawable(baked(model, scene, cameras, background, VIEWERS[viewer]))
+    stages = {"baked": gaussians}
+    if options.distil:
         gaussians = distilled(
-            gaussians, model, cameras, iterations,
-            report=lambda done, _: step("distilling", done, iterations),
+            gaussians, model, cameras, options.distil, VIEWERS[viewer],
+            report=lambda done, _: step("distilling", done, options.distil),
         )  # fmt: skip
-        step("measuring distilled Gaussians")
-        measure(f"distilled, {iterations} iterations", gaussians)
-    return drawable(gaussians)
+        stages[f"distilled, {options.distil} iterations"] = drawable(gaussians)
+    return viewer, stages
 
 
-def _written(file: Path, name: str, gaussians: SceneGaussians) -> int:
+def _written(file: Path, name: str, gaussians: SceneGaussians, viewer: str, spz_version: int | None) -> int:
     """Write the file whole, or not at all; its bytes."""
     from econgs_bench.methods.interface import Refused
 
     module = import_module(f"econgs_bench.methods.formats.{name}")
+    more = {"antialiased": viewer == "antialiased", "version": spz_version or 3} if name == "spz" else {}
     file.parent.mkdir(parents=True, exist_ok=True)
     part = file.with_name(f".{file.name}.part")
     try:
-        module.write(part, gaussians)
+        module.write(part, gaussians, **more)
         part.replace(file)
     except Refused as error:
         raise DataError(file, str(error), "Install it, or choose another format") from error
@@ -169,24 +192,57 @@ def _written(file: Path, name: str, gaussians: SceneGaussians) -> int:
     return file.stat().st_size
 
 
-def _read(file: Path, name: str, gaussians: SceneGaussians) -> Model:
-    """The model that the file holds; of glTF, which holds every number, the Gaussians that were written."""
+def _read(file: Path, name: str, gaussians: SceneGaussians) -> SceneGaussians:
+    """What the file holds; of glTF, which holds every number, the Gaussians that were written."""
     from econgs_bench.methods.formats.gaussians import scene_of
+
+    if name == "glb":
+        return gaussians
+    values = import_module(f"econgs_bench.methods.formats.{name}").read(file)
+    return scene_of(values, gaussians.name, gaussians.background, gaussians.sh_degree)
+
+
+def _model(gaussians: SceneGaussians) -> Model:
     from econgs_bench.methods.gaussian_splatting.model import GaussianModel
 
-    if name != "glb":
-        values = import_module(f"econgs_bench.methods.formats.{name}").read(file)
-        gaussians = scene_of(values, gaussians.name, gaussians.background, gaussians.sh_degree)
     return GaussianModel([gaussians])
 
 
-def _psnr(model: Model, scene: str, views: ViewSet) -> float:
-    """Mean PSNR of views."""
-    from econgs_bench.bench.metrics import evaluate
+def _measured(models: Sequence[Model], scene: str, views: ViewSet, viewer: str) -> list[list[float]]:
+    """Mean PSNR of models: against the truth; of all but the first against its own pictures,
+    by viewer and size.
+    """
+    import numpy as np
 
-    total = 0.0
-    for camera, image in zip(views.cameras, views.images, strict=True):
+    from econgs_bench.bench.metrics import evaluate
+    from econgs_bench.methods.baking.bake import VIEWERS, enlarged
+    from econgs_bench.methods.shared.rendering import Rendering
+
+    def psnr(model: Model, camera: Camera, image: NDArray[np.float32]) -> float:
         rgb, alpha = picture(model, camera, [scene], {}, views.background)
         values, _ = evaluate(image, rgb, alpha, views.background, ["psnr"])
-        total += float(values["psnr"] or 0.0)
-    return total / len(views.cameras)
+        return float(values["psnr"] or 0.0)
+
+    own, *others = models
+    drawn = {
+        name: [one.drawn_by(Rendering(low_pass=low_pass)) for one in others]  # type: ignore[attr-defined]
+        for name, low_pass in VIEWERS.items()
+    }
+    count = len(views.cameras)
+    rows = []
+    for done, model in enumerate([own, *drawn[viewer]]):
+        step("measuring against the truth", done, len(models))
+        pairs = zip(views.cameras, views.images, strict=True)
+        rows.append([sum(psnr(model, camera, image) for camera, image in pairs) / count])
+    chosen = views.cameras[:: max(1, -(-count // _ENLARGED))]
+    sums = np.zeros((len(others), len(VIEWERS), len(SIZES)))
+    for size in range(len(SIZES)):
+        for done, camera in enumerate(chosen):
+            step(f"measuring at {SIZES[size]} times the size", done, len(chosen))
+            larger = enlarged(camera, SIZES[size])
+            image = np.dstack(picture(own, larger, [scene], {}, (0.0, 0.0, 0.0)))
+            for kind, name in enumerate(VIEWERS):
+                sums[:, kind, size] += [psnr(one, larger, image) for one in drawn[name]]
+    return rows[:1] + [
+        row + list(more.ravel() / len(chosen)) for row, more in zip(rows[1:], sums, strict=True)
+    ]

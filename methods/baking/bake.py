@@ -1,4 +1,4 @@
-"""Plain Gaussians that look, in a plain viewer, as much as possible like those of a model.
+"""Plain Gaussians that look, in a viewer, as much as possible like those of a model.
 
 Each Gaussian keeps its number and its place; scales, rotation, opacity and colors may depend on the view in a
 model, and its filters may not be those of viewers. What is stored is the mean over the views that see it.
@@ -16,7 +16,7 @@ from torch import Tensor
 from econgs_bench.datasets.camera import Camera
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.scene import RGB
-from econgs_bench.econgs.splat import LINEAGE
+from econgs_bench.econgs.splat import LINEAGE, LowPass
 from econgs_bench.econgs.splat.composite import MIN_ALPHA
 from econgs_bench.econgs.splat.rays import MIN_THROUGH
 from econgs_bench.econgs.splat.sh import harmonics
@@ -26,33 +26,45 @@ from econgs_bench.methods.gaussian_splatting.model import SH_REST, SceneGaussian
 from econgs_bench.methods.interface import HasGaussians
 from econgs_bench.methods.shared.rendering import Rendering
 
-PLAIN = LINEAGE
-"""How plain viewers draw: 0.3 px² are added to Gaussians, which are as dark from everywhere."""
+VIEWERS = {"antialiased": LowPass(compensated=True), "plain": LINEAGE}
+"""How viewers draw: they add 0.3 px² to Gaussians, and shrink opacities for that or do not."""
 MOST_VIEWS = 64
 """Views that a fit of colors looks at, spread evenly over those given."""
 _RIDGE = 1e-4  # share of a Gaussian's summed weights
 _AT_ONCE = 1 << 13  # Gaussians whose colors are solved for together
-_LEAST_SCALE = 0.3  # share of a standard deviation that shrinking leaves
 _OUTSIDE = 0.15  # share of the image's sides by which a middle may lie outside
 
 
-def exact(model: Any, scene: str) -> SceneGaussians | None:
-    """The Gaussians of a model that are plain as they are; None where they are not."""
-    if isinstance(model, SplatModel) and model.rendering == Rendering():
+def exact(model: Any, scene: str, viewer: LowPass = LINEAGE) -> SceneGaussians | None:
+    """The Gaussians of a model that a viewer draws as the model does; None where it does not."""
+    if isinstance(model, SplatModel) and model.rendering == Rendering(low_pass=viewer):
         return model.scene(scene)
     return None
 
 
+def sizes(viewer: LowPass) -> tuple[int, ...]:
+    """Multiples of the training size at which Gaussians are fitted for a viewer.
+
+    One that does not compensate its filter draws Gaussians the darker, the larger their pixels: no file is
+    right at all sizes, and what is stored is the mean over these.
+    """
+    return (1, 2) if viewer.compensated else (1, 2, 4)
+
+
 def baked(
-    model: HasGaussians, scene: str, cameras: Sequence[Camera], background: RGB, degree: int = 3
+    model: HasGaussians,
+    scene: str,
+    cameras: Sequence[Camera],
+    background: RGB,
+    viewer: LowPass = VIEWERS["antialiased"],
+    degree: int = 3,
 ) -> SceneGaussians:
     """Plain Gaussians of a scene, fitted to what cameras see of it.
 
     - Scales: geometric mean, quaternions: mean after aligning signs, both weighted by opacity. The scene's
-      own smoothing is added; then the variance that viewers add in excess of the model's filter is taken
-      away, as seen from the mean distance, but no scale falls under 0.3 of itself.
-    - Opacity: of the mean optical depth, 1 - exp(mean ln(1 - o)), where o gives a Gaussian in a plain
-      viewer the mass (opacity times area) that it has in the model's view.
+      own smoothing is added.
+    - Opacity: of the mean optical depth, 1 - exp(mean ln(1 - o)) weighted by area, where o gives a Gaussian
+      in the viewer the mass (opacity times area) that it has in the model's view.
     - Colors: weighted least squares of spherical harmonics; weights are opacities in the views, with a ridge
       above the constant coefficient.
 
@@ -61,6 +73,7 @@ def baked(
         scene: name of its scene.
         cameras: of the training views.
         background: the scene's.
+        viewer: how the Gaussians will be drawn.
         degree: of spherical harmonics.
 
     Raises:
@@ -73,7 +86,7 @@ def baked(
         shape = _mean_shapes(views)
         if shape is None:
             raise DataError(scene, "no training view sees a Gaussian of this model", "Export another scene")
-        logits, coefficients, keep = _mean_looks(views, shape, degree)
+        logits, coefficients, keep = _mean_looks(views, shape, viewer, degree)
         rows = keep.nonzero()[:, 0]
         full = torch.zeros((len(rows), 1 + SH_REST, 3))
         full[:, : coefficients.shape[1]] = coefficients[rows]
@@ -95,7 +108,6 @@ class _View:
 
     Attributes:
         units: scene units / units of the Gaussians.
-        masses: (M,) opacity times the root of the determinant of the covariance on the image.
         inside: (M,) before the camera, and about in the image.
     """
 
@@ -104,8 +116,14 @@ class _View:
     splats: Splats
     units: float
     opacities: Tensor
-    masses: Tensor
     inside: Tensor
+
+    def masses(self, factor: int) -> Tensor:
+        """(M,) opacity times area in px² / 2π, where the picture is that many times as wide."""
+        means, quats, scales, opacities, _, camera, _, low_pass = self.splats
+        seen = project(means, quats, scales, enlarged(camera, factor), None, low_pass)
+        drawn = seen.opacities(opacities).nan_to_num(0.0).clamp(max=MAX_ALPHA)
+        return drawn * seen.det.clamp_min(0.0).sqrt()
 
 
 class _Views:
@@ -128,9 +146,12 @@ class _Views:
             seen = project(*tensors, splats.camera, None, low_pass)
             drawn = seen.opacities(opacities).nan_to_num(0.0).clamp(max=MAX_ALPHA)
             inside = _inside(seen, splats.camera) & (opacities > 0.0)
-            units = camera.near / splats.camera.near
-            masses = drawn * seen.det.clamp_min(0.0).sqrt()
-            use(_View(camera, numbers.cpu(), splats, units, drawn, masses, inside))
+            use(_View(camera, numbers.cpu(), splats, camera.near / splats.camera.near, drawn, inside))
+
+
+def enlarged(camera: Camera, factor: int) -> Camera:
+    """A camera whose picture is that many times as wide and high."""
+    return camera.resized(factor * camera.width, factor * camera.height)
 
 
 def _inside(seen: Projected, camera: Camera) -> Tensor:
@@ -153,8 +174,7 @@ class _Shapes:
 
 def _mean_shapes(views: _Views) -> _Shapes | None:
     totals: dict[str, Tensor] = {}
-    variances: list[float] = []
-    widths = {"weight": 1, "means": 3, "logs": 3, "quats": 4, "pixel": 1}
+    widths = {"weight": 1, "means": 3, "logs": 3, "quats": 4}
 
     def add(view: _View) -> None:
         numbers = view.numbers
@@ -163,16 +183,12 @@ def _mean_shapes(views: _Views) -> _Shapes | None:
             old = totals.get(name, torch.zeros((0, width)))
             totals[name] = torch.cat([old, torch.zeros((count - len(old), width))])
         splats = view.splats
-        variances.append(splats.low_pass.variance)
         weight = (view.opacities * view.inside)[:, None]
-        pose = torch.as_tensor(splats.camera.world_to_camera, dtype=torch.float32)
-        depth = (splats.means @ pose[2, :3] + pose[2, 3])[:, None]
         signs = (totals["quats"][numbers] * splats.quats).sum(1, keepdim=True)
         quats = torch.where(signs < 0.0, -splats.quats, splats.quats)
-        pixel = depth**2 / (splats.camera.fx * splats.camera.fy) * view.units**2
         logs = (view.units * splats.scales).clamp_min(1e-12).log()
         parts = {"weight": torch.ones_like(weight), "means": view.units * splats.means, "logs": logs}
-        parts |= {"quats": quats, "pixel": pixel}
+        parts["quats"] = quats
         for name, values in parts.items():
             totals[name].index_add_(0, numbers, weight * values)
 
@@ -180,29 +196,32 @@ def _mean_shapes(views: _Views) -> _Shapes | None:
     if not totals or not bool((totals["weight"] > 0.0).any()):
         return None
     weight = totals["weight"].clamp_min(1e-12)
-    excess = max(0.0, PLAIN.variance - variances[0])
-    scales = (totals["logs"] / weight).exp()
-    shrunk = (scales.square() - excess * totals["pixel"] / weight).clamp_min(0.0).sqrt()
-    scales = torch.maximum(shrunk, _LEAST_SCALE * scales)
     quats = totals["quats"] / totals["quats"].norm(dim=1, keepdim=True).clamp_min(1e-12)
     seen = (totals["weight"][:, 0] > 0.0) & (quats.square().sum(1) > 0.5)
-    return _Shapes(totals["means"] / weight, quats, scales, seen)
+    return _Shapes(totals["means"] / weight, quats, (totals["logs"] / weight).exp(), seen)
 
 
-def _mean_looks(views: _Views, shape: _Shapes, degree: int) -> tuple[Tensor, Tensor, Tensor]:
+def _mean_looks(views: _Views, shape: _Shapes, viewer: LowPass, degree: int) -> tuple[Tensor, Tensor, Tensor]:
     """(N,) logits, (N, K, 3) coefficients, and which Gaussians are dark enough to be drawn."""
     count = len(shape.means)
-    depths, times = torch.zeros(count), torch.zeros(count)
+    depths, areas = torch.zeros(count), torch.zeros(count)
     weights, colors, eyes = [], [], []
 
     def add(view: _View) -> None:
-        plain = project(shape.means, shape.quats, shape.scales, view.camera, None, PLAIN)
-        times.add_(_inside(plain, view.camera))  # a Gaussian that the model leaves out is not there
         rows = (view.inside & shape.seen[view.numbers]).nonzero()[:, 0]
         numbers = view.numbers[rows]
-        area = plain.det[numbers].clamp_min(1e-20).sqrt()
-        opacity = (view.masses[rows] / area).clamp(0.0, MAX_ALPHA)
-        depths[numbers] += (1.0 - opacity).clamp_min(MIN_THROUGH).log()
+        # Where both compensate their filters, masses are in proportion at all sizes.
+        constant = viewer.compensated and view.splats.low_pass.compensated
+        for factor in (1,) if constant else sizes(viewer):
+            camera = enlarged(view.camera, factor)
+            plain = project(shape.means, shape.quats, shape.scales, camera, None, viewer)
+            area = plain.det.clamp_min(1e-20).sqrt()
+            if plain.share is not None:
+                area = area * plain.share.clamp_min(1e-6)
+            opacity = (view.masses(factor)[rows] / area[numbers]).clamp(0.0, MAX_ALPHA)
+            area = torch.where(_inside(plain, camera), area / factor**2, 0.0)
+            areas.add_(area)  # a Gaussian that the model leaves out is not there
+            depths[numbers] += area[numbers] * (1.0 - opacity).clamp_min(MIN_THROUGH).log()
         weight, color = torch.zeros(count), torch.zeros((count, 3))
         weight[numbers], color[numbers] = view.opacities[rows], view.splats.features[rows] - 0.5
         weights.append(weight)
@@ -210,7 +229,7 @@ def _mean_looks(views: _Views, shape: _Shapes, degree: int) -> tuple[Tensor, Ten
         eyes.append(torch.as_tensor(view.camera.position, dtype=torch.float32))
 
     views.each(add)
-    opacities = 1.0 - (depths / times.clamp_min(1.0)).exp()
+    opacities = 1.0 - (depths / areas.clamp_min(1e-20)).exp()
     keep = shape.seen & (opacities >= MIN_ALPHA)
     coefficients = torch.zeros((count, (degree + 1) ** 2, 3))
     for rows in keep.nonzero()[:, 0].split(_AT_ONCE):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import re
 
 import pytest
@@ -47,16 +48,27 @@ def job(store, variant):
     return found
 
 
+def table(capsys):
+    """The head of what was printed, and the rows: numbers and a title."""
+    _, _, head, *rows = capsys.readouterr().out.splitlines()
+    return head, [
+        re.split(r"\s+", row.strip(), maxsplit=len(row[: row.rindex("  ")].split())) for row in rows
+    ]
+
+
 @pytest.mark.parametrize("form", ["ply", "spz", "sog", "glb"])
 def test_each_format_is_written_and_its_cost_told(store, tmp_path, capsys, form):
     file = tmp_path / f"core.{form}"
     command = ["export", job(store, "fair"), "--runs", str(store), "--distil", "4"]
     assert main([*command, "--out", str(file)]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("PSNR in 2 test views of core")
-    titles = [re.split(r" primitives  ", line)[1] for line in lines[1:]]
-    assert titles == ["3dgs, as it is", "baked", "distilled, 4 iterations", str(file)]
-    assert f"{file.stat().st_size:,} bytes" in lines[-1]
+    head, rows = table(capsys)
+    sizes = "1x 2x 4x"
+    assert re.sub(" +", " ", head) == f" truth antialiased {sizes} plain {sizes} bytes primitives"
+    assert [row[-1] for row in rows] == ["3dgs, as it is", "baked", "distilled, 4 iterations", str(file)]
+    assert [len(row) for row in rows] == [4, 10, 10, 10]
+    assert rows[-1][-3] == f"{file.stat().st_size:,}"
+    psnr = [float(value) for value in rows[1][1:7]]
+    assert min(psnr[:3]) > min(psnr[3:])  # baked for viewers that compensate
     assert list(tmp_path.iterdir()) == [file]
     readers = {"ply": ply, "spz": spz, "sog": sog}
     if form in readers:
@@ -65,9 +77,24 @@ def test_each_format_is_written_and_its_cost_told(store, tmp_path, capsys, form)
 
 def test_a_model_that_is_plain_is_exported_as_it_is(store, tmp_path, capsys):
     file = tmp_path / "core.ply"
-    assert main(["export", job(store, "paper"), "--runs", str(store), "--out", str(file)]) == 0
-    first, last = capsys.readouterr().out.splitlines()[1:]
-    assert first.split()[:2] == last.split()[:2]  # the same PSNR
+    command = ["export", job(store, "paper"), "--runs", str(store), "--out", str(file)]
+    assert main(command) == 0
+    _, (first, last) = table(capsys)
+    assert first[0] == last[0]
+    assert [float(value) for value in last[4:7]] == [100.0] * 3  # as high as PSNR goes
+    assert main([*command, "--distil", "0", "--viewer", "antialiased"]) == 0
+    _, rows = table(capsys)
+    assert [row[-1] for row in rows[1:]] == ["baked", str(file)]
+
+
+@pytest.mark.parametrize(("version", "viewer"), [(3, "plain"), (4, "antialiased")])
+def test_spz_says_for_whom_it_is(store, tmp_path, version, viewer):
+    file = tmp_path / "core.spz"
+    more = ["--distil", "0", "--viewer", viewer, "--spz-version", str(version)]
+    assert main(["export", job(store, "fair"), "--runs", str(store), *more, "--out", str(file)]) == 0
+    data = file.read_bytes()
+    data = gzip.decompress(data) if version == 3 else data
+    assert (data[4], data[14]) == (version, viewer == "antialiased")
 
 
 @pytest.mark.parametrize(
@@ -75,6 +102,7 @@ def test_a_model_that_is_plain_is_exported_as_it_is(store, tmp_path, capsys):
     [
         (["--out", "x.xyz"], "its suffix names no format. Give --format, one of ply, spz, sog, glb"),
         (["--out", "x.ply", "--scene", "cor"], "Did you mean core"),
+        (["--out", "x.ply", "--spz-version", "4"], "x.ply: --spz-version of the format ply. Leave it out"),
     ],
 )
 def test_what_cannot_be_exported_is_refused(store, capsys, more, says):

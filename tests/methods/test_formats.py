@@ -15,6 +15,7 @@ from pathlib import Path
 
 import gsply
 import numpy as np
+import pyarrow
 import pytest
 import torch
 from scipy.spatial import cKDTree
@@ -32,6 +33,7 @@ from econgs_bench.methods.formats.gaussians import (
     tables,
 )
 from econgs_bench.methods.interface import Refused
+from econgs_bench.methods.shared.decoders import own_streams
 
 READ_AND_WRITTEN = {"ply": ply, "zstd": zstd, "spz": spz, "sog": sog, "integer": integer}
 COUNT = 300
@@ -138,6 +140,36 @@ def test_spz_is_the_same_at_any_time(tmp_path, monkeypatch):
         spz.write(tmp_path / "a.spz", asymmetric())
         found.append((tmp_path / "a.spz").read_bytes())
     assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("degree", [0, 2, 3])
+def test_both_versions_of_spz_hold_the_same(tmp_path, degree):
+    scene = asymmetric(degree=degree)
+    third, fourth = tmp_path / "3.spz", tmp_path / "4.spz"
+    spz.write(third, scene, antialiased=True)
+    spz.write(fourth, scene, antialiased=True, version=4)
+    data = fourth.read_bytes()
+    streams = 6 if degree else 5
+    head = (b"NGSP", 4, COUNT, degree, 12, 1, streams, 32)
+    assert struct.unpack_from("<4sIIBBBBI12x", data) == head
+    sizes = struct.unpack_from(f"<{2 * streams}Q", data, 32)
+    plain, start = [], 32 + 16 * streams
+    for stored, size in zip(sizes[::2], sizes[1::2], strict=True):
+        plain.append(pyarrow.decompress(data[start : start + stored], size, codec="zstd", asbytes=True))
+        start += stored
+    assert start == len(data)
+    assert b"".join(plain) == gzip.decompress(third.read_bytes())[16:]
+    with own_streams():
+        assert not max(differences(spz.read(third), spz.read(fourth)).values())
+        for broken in (
+            data[:40],
+            data[:-9],
+            data[:200] + bytes(60) + data[260:],
+            data[:8] + b"\xff" * 4 + data[12:],
+        ):
+            fourth.write_bytes(broken)
+            with pytest.raises(DataError, match=r"4\.spz"):
+                spz.read(fourth)
 
 
 def test_spz_points_right_up_and_back(tmp_path):
@@ -276,6 +308,45 @@ def test_glb_points_left_up_and_to_the_front(tmp_path):
     assert not any("DEGREE_2" in name for name in parsed_glb(file)[1])
 
 
+FLOAT = (5126, False)
+SPLATTING = {
+    "ROTATION": ("VEC4", {FLOAT, (5120, True), (5122, True)}),
+    "SCALE": ("VEC3", {FLOAT, (5120, False), (5120, True), (5122, False), (5122, True)}),
+    "OPACITY": ("SCALAR", {FLOAT, (5121, True), (5123, True)}),
+}
+"""Attributes that the ratified KHR_gaussian_splatting requires: type, and kinds of numbers (normalized)."""
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_glb_keeps_the_rules_of_the_ratified_extension(tmp_path, degree):
+    """Its tables of properties and attributes, and its rules for the kernel "ellipse"."""
+    glb.write(tmp_path / "a.glb", asymmetric(degree=degree))
+    contents, found = parsed_glb(tmp_path / "a.glb")
+    (primitive,) = contents["meshes"][0]["primitives"]
+    about = primitive["extensions"][glb.EXTENSION]
+    assert glb.EXTENSION in contents["extensionsUsed"]
+    assert primitive["mode"] == 0  # points
+    assert about.pop("kernel") == "ellipse"
+    assert about.pop("colorSpace") in ("srgb_rec709_display", "lin_rec709_display")
+    assert about.pop("projection", "perspective") == "perspective"
+    assert about.pop("sortingMethod", "cameraDistance") == "cameraDistance"
+    assert not about
+    coefficients = {f"SH_DEGREE_{one}_COEF_{n}" for one in range(degree + 1) for n in range(2 * one + 1)}
+    needed = SPLATTING | dict.fromkeys(coefficients, ("VEC3", {FLOAT}))
+    names = {f"{glb.EXTENSION}:{name}" for name in needed}
+    assert set(primitive["attributes"]) == {"POSITION", "COLOR_0"} | names
+    for name, (kind, numbers) in needed.items():
+        accessor = contents["accessors"][primitive["attributes"][f"{glb.EXTENSION}:{name}"]]
+        assert accessor["type"] == kind
+        assert (accessor["componentType"], accessor.get("normalized", False)) in numbers
+        assert accessor["count"] == COUNT
+    values = {name: found[f"{glb.EXTENSION}:{name}"] for name in SPLATTING}
+    assert values["SCALE"].min() >= 0.0
+    assert values["OPACITY"].min() >= 0.0
+    assert values["OPACITY"].max() <= 1.0
+    np.testing.assert_allclose(np.linalg.norm(values["ROTATION"], axis=1), 1.0, atol=1e-5)
+
+
 # --------------------------------------------------------------------------- the viewers' own tool
 
 
@@ -293,16 +364,20 @@ def convert():
     return run
 
 
-@pytest.mark.parametrize(("name", "within"), [("spz", within_spz), ("sog", within_sog)])
-def test_the_viewers_tool_reads_and_writes_the_same(convert, tmp_path, name, within):
+@pytest.mark.parametrize(
+    ("name", "version", "within"), [("spz", 3, within_spz), ("spz", 4, within_spz), ("sog", 2, within_sog)]
+)
+def test_the_viewers_tool_reads_and_writes_the_same(convert, tmp_path, name, version, within):
     scene, form = asymmetric(), READ_AND_WRITTEN[name]
     values = tables(scene)
-    form.write(tmp_path / f"ours{form.SUFFIX}", scene)
+    form.write(tmp_path / f"ours{form.SUFFIX}", scene, **({"version": version} if name == "spz" else {}))
     convert(tmp_path / f"ours{form.SUFFIX}", tmp_path / "ours.ply")
     within(values, paired(values, of_gsply(gsply.plyread(tmp_path / "ours.ply"))))
     ply.write(tmp_path / "a.ply", scene)
     convert(
-        tmp_path / "a.ply", tmp_path / f"theirs{form.SUFFIX}", *(["--spz-version", "3"] * (name == "spz"))
+        tmp_path / "a.ply",
+        tmp_path / f"theirs{form.SUFFIX}",
+        *(["--spz-version", str(version)] if name == "spz" else []),
     )
     theirs = paired(values, form.read(tmp_path / f"theirs{form.SUFFIX}"))
     if name == "spz":

@@ -38,7 +38,8 @@ def test_a_pipe_gets_a_line_now_and_then(capsys):
         if watch._streams.written != before:
             watch._streams.streams[1].written = now + second  # as the clock of the test has it
         lines += [(second, line) for line in capsys.readouterr().err.splitlines()]
-    assert lines[0][1] == f"bench: reading a.nrrd, 1 of 3, {lines[0][0]} s"
+    begun = lines[0][0]
+    assert lines[0][1] == f"bench: reading a.nrrd, 1 of 3, {begun} s, {2 * begun} s left"
     seconds = [second for second, _ in lines]
     assert seconds[0] == pytest.approx(SILENCE, abs=1)
     gaps = [after - before for before, after in pairwise(seconds)]
