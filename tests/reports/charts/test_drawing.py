@@ -169,10 +169,10 @@ def test_a_section_of_the_page_has_the_remarks_of_its_charts_once():
         name: Chart([Panel("t", axis, axis)], note=note)
         for name, note in zip("abc", ("<x>", "", "<x>"), strict=True)
     }
-    html = to_html(Section("s", "S", words="words", charts=charts, layout=False))
-    assert html == '<p>words</p><p class="note">&lt;x&gt;</p>'
-    bare = Section("s", "S", words="words", charts={"b": charts["b"]}, layout=False)
-    assert to_html(bare) == "<p>words</p>"
+    html = to_html(Section("s", "S", html="<p>own</p>", charts=charts, layout=False))
+    assert html == '<p>own</p><p class="note">&lt;x&gt;</p>'
+    bare = Section("s", "S", html="<p>own</p>", charts={"b": charts["b"]}, layout=False)
+    assert to_html(bare) == "<p>own</p>"
 
 
 def test_room_for_labels_is_kept_free():
