@@ -2,22 +2,27 @@
 //
 // Pictures are premultiplied and without a background; their first row is the uppermost.
 
+import {ROW} from "./shape.js";
+
 const SPLAT_VERTEX = `#version 300 es
-layout(location = 0) in vec4 place;  // u, v, slope, a
-layout(location = 1) in vec4 shape;  // c, lift, half height, half width
-layout(location = 2) in vec4 color;
+#define ROW ${ROW}
+uniform highp sampler2D instances;  // u, v, slope, a; c, lift, half height, half width; color
 uniform vec2 size;
 flat out vec4 f_place;
 flat out vec2 f_shape;
 flat out vec3 f_color;
 void main() {
-  vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0;
+  // Two triangles of vertices that are all alike: some drivers draw each instance by itself.
+  int splat = gl_VertexID / 6, n = gl_VertexID % 6, side = n < 3 ? n : 6 - n;
+  ivec2 first = ivec2(splat % ROW * 3, splat / ROW);
+  vec4 place = texelFetch(instances, first, 0), shape = texelFetch(instances, first + ivec2(1, 0), 0);
+  vec2 corner = vec2(side & 1, side >> 1) * 2.0 - 1.0;
   float dy = corner.y * shape.z;
   vec2 at = place.xy + vec2(place.z * dy + corner.x * shape.w, dy);
   gl_Position = vec4(at / size * 2.0 - 1.0, 0.0, 1.0);
   f_place = place;
   f_shape = shape.xy;
-  f_color = color.rgb;
+  f_color = texelFetch(instances, first + ivec2(2, 0), 0).rgb;
 }`;
 const SPLAT_FRAGMENT = `#version 300 es
 precision highp float;
@@ -97,18 +102,19 @@ class Picture {
   /**
    * Give it a size, and values if there are any.
    * @param {number} width @param {number} height @param {number} format sized, of floats
-   * @param {Uint16Array | null} values halves, RGBA
+   * @param {Uint16Array | Float32Array | null} values RGBA: halves, or floats as the format says
    */
   fill(width, height, format, values = null) {
     const gl = this.gl;
     gl.bindTexture(gl.TEXTURE_2D, this.texture);
-    if (values === null && this.width === width && this.height === height) return;
+    if (values === null && this.width === width && this.height === height && this.format === format) return;
     const type = format === gl.RGBA32F ? gl.FLOAT : gl.HALF_FLOAT;
     gl.texImage2D(gl.TEXTURE_2D, 0, format, width, height, 0, gl.RGBA, type, values);
-    const filter = format === gl.RGBA32F ? gl.NEAREST : gl.LINEAR;
+    const linear = format === gl.RGBA16F || gl.getExtension("OES_texture_float_linear");
+    const filter = linear ? gl.LINEAR : gl.NEAREST;
     for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, name, filter);
     for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D, name, gl.CLAMP_TO_EDGE);
-    [this.width, this.height] = [width, height];
+    [this.width, this.height, this.format] = [width, height, format];
   }
 }
 
@@ -127,20 +133,15 @@ export class Painter {
     }
     this.gl = gl;
     this.format = gl.getExtension("EXT_float_blend") ? gl.RGBA32F : gl.RGBA16F;
+    const about = gl.getExtension("WEBGL_debug_renderer_info");
+    const name = String(gl.getParameter(about ? about.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
+    /** Whether the processor stands in for a graphics card: then splats.js blends. */
+    this.software = /swiftshader|llvmpipe|software|basic render/i.test(name);
     this.most = most;
     this.splats = this.program(SPLAT_VERTEX, SPLAT_FRAGMENT);
     this.mean = this.program(FULL_VERTEX, MEAN_FRAGMENT);
     this.show = this.program(FULL_VERTEX, SHOW_FRAGMENT);
-    this.buffer = gl.createBuffer();
-    this.instances = gl.createVertexArray();
-    this.nothing = gl.createVertexArray();
-    gl.bindVertexArray(this.instances);
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.buffer);
-    for (let n = 0; n < 3; ++n) {
-      gl.enableVertexAttribArray(n);
-      gl.vertexAttribPointer(n, 4, gl.FLOAT, false, 48, 16 * n);
-      gl.vertexAttribDivisor(n, 1);
-    }
+    this.instances = new Picture(gl);
     this.target = new Picture(gl);
     this.frame = gl.createFramebuffer();
     this.scale = gl.createTexture();
@@ -182,10 +183,10 @@ export class Painter {
 
   /**
    * Blend Gaussians near to far: color grows by what still passes through, which is kept in alpha.
-   * @param {Picture} to @param {{instances: Float32Array, count: number, points: number}} sorted
+   * @param {Picture} to @param {{values: Float32Array, count: number, points: number}} sorted
    * @param {number} width @param {number} height
    */
-  blend(to, {instances, count, points}, width, height) {
+  blend(to, {values, count, points}, width, height) {
     const gl = this.gl, across = points * width, down = points * height;
     this.target.fill(across, down, this.format);
     to.fill(width, height, gl.RGBA16F);
@@ -194,16 +195,15 @@ export class Painter {
     gl.clear(gl.COLOR_BUFFER_BIT);
     gl.useProgram(this.splats.program);
     gl.uniform2f(this.splats.at("size"), across, down);
-    gl.bindVertexArray(this.instances);
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.buffer);
-    gl.bufferData(gl.ARRAY_BUFFER, instances, gl.STREAM_DRAW);
+    gl.uniform1i(this.splats.at("instances"), 0);
+    if (count) this.instances.fill(3 * ROW, values.length / (12 * ROW), gl.RGBA32F, values);
+    gl.enable(gl.BLEND);
     gl.enable(gl.BLEND);
     gl.blendFuncSeparate(gl.DST_ALPHA, gl.ONE, gl.ZERO, gl.ONE_MINUS_SRC_ALPHA);
-    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, count);
+    gl.drawArrays(gl.TRIANGLES, 0, 6 * count);
     gl.disable(gl.BLEND);
     this.onto(to, width, height);
     gl.useProgram(this.mean.program);
-    gl.bindVertexArray(this.nothing);
     gl.activeTexture(gl.TEXTURE0);
     gl.bindTexture(gl.TEXTURE_2D, this.target.texture);
     gl.uniform1i(this.mean.at("side"), points);
@@ -219,7 +219,6 @@ export class Painter {
     const gl = this.gl, {width, height} = gl.canvas;
     this.onto(null, width, height);
     gl.useProgram(this.show.program);
-    gl.bindVertexArray(this.nothing);
     [left.texture, right.texture, this.scale].forEach((texture, unit) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(gl.TEXTURE_2D, texture);

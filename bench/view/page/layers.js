@@ -129,10 +129,12 @@ export class Layer {
 
   /** @param {import("./splats.js").Camera} camera @param {boolean} whole @param {number} least */
   async splat(camera, whole, least) {
-    const task = this.task, sorted = await task.ask("draw", {camera, whole, least});
+    const task = this.task, paint = this.painter.software;
+    const sorted = await task.ask("draw", {camera, whole, least, paint});
     if (!sorted || task !== this.task) return;
     this.count = sorted.count;
-    this.painter.blend(this.picture, sorted, camera.width, camera.height);
+    if (paint) this.picture.fill(camera.width, camera.height, this.painter.gl.RGBA32F, sorted.values);
+    else this.painter.blend(this.picture, sorted, camera.width, camera.height);
   }
 }
 

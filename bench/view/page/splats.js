@@ -4,14 +4,15 @@
 // Gaussian, is what the shader of gl.js takes: centre (px), coefficients of log2(alpha) = lift + a e^2 + c dy^2
 // with e = dx - slope dy, half the height of the ellipse on which alpha is 1/255, half its width, color.
 
+import {painted} from "./paint.js";
 import {ask} from "./server.js";
+import {ROW, STRIDE} from "./shape.js";
 
 const CLAMP = 1.3; // of half a field of view, for the Jacobian
 const MIN_ALPHA = 1 / 255;
 const MIN_THROUGH = 1e-4; // least transmittance of a Gaussian whose depth is changed
-const MAX_DEPTH = Math.log2(50); // of the relative depth of a Gaussian along a ray
+const MAX_DEPTH = Math.log(50); // of the relative depth of a Gaussian along a ray
 const MIN_AREAS = 1e-60;
-export const STRIDE = 12;
 
 /**
  * @typedef {object} Camera as bench/view/sources.py writes it
@@ -30,7 +31,7 @@ class Gaussians {
     this.opacities = answer.opacities;
     const count = this.count = answer.opacities.length;
     const axes = this.axes = new Float64Array(9 * count); // columns of rotation times scale
-    const areas = this.areas = new Float64Array(count); // log2 of the mean square of the areas along the axes
+    const areas = this.areas = new Float64Array(count); // log of the mean square of the areas along the axes
     for (let n = 0; n < count; ++n) {
       let [w, x, y, z] = answer.quats.subarray(4 * n, 4 * n + 4);
       const inverse = 1 / Math.hypot(w, x, y, z);
@@ -42,7 +43,7 @@ class Gaussians {
         r * 2 * (x * z + w * y), r * 2 * (y * z - w * x), r * (1 - 2 * (x * x + y * y)),
       ], 9 * n);
       const pp = p * p, qq = q * q, rr = r * r;
-      areas[n] = Math.log2(Math.max((qq * rr + pp * (qq + rr)) / 3, MIN_AREAS));
+      areas[n] = Math.log(Math.max((qq * rr + pp * (qq + rr)) / 3, MIN_AREAS));
     }
     this.projected = new Float32Array(STRIDE * count);
     this.depths = new Float32Array(count);
@@ -91,9 +92,9 @@ class Gaussians {
       if (rayPower > 0) { // a sheet is darker seen edge-on
         const d0 = k1 * l2 - k2 * l1, d1 = k2 * l0 - k0 * l2, d2 = k0 * l1 - k1 * l0;
         const across = Math.max(before / (d0 * d0 + d1 * d1 + d2 * d2), MIN_AREAS);
-        const relative = 0.5 * (areas[n] - Math.log2(across));
-        const ray = 2 ** (rayPower * Math.min(relative, MAX_DEPTH));
-        opacity = 1 - Math.max(1 - own, MIN_THROUGH) ** ray;
+        const relative = 0.5 * (areas[n] - Math.log(across));
+        const ray = Math.exp(rayPower * Math.min(relative, MAX_DEPTH));
+        opacity = 1 - Math.exp(ray * Math.log(Math.max(1 - own, MIN_THROUGH)));
       }
       if (compensated) opacity *= Math.sqrt(before / det);
       if (!(opacity >= MIN_ALPHA)) continue;
@@ -107,7 +108,7 @@ class Gaussians {
       projected[o + 2] = b / c;
       projected[o + 3] = -0.5 * Math.LOG2E * c / det;
       projected[o + 4] = -0.5 * Math.LOG2E / c;
-      projected[o + 5] = Math.log2(opacity);
+      projected[o + 5] = Math.LOG2E * Math.log(opacity);
       projected[o + 6] = halfV;
       projected[o + 7] = Math.sqrt(bound * det / c);
       projected[o + 8] = colors[3 * n];
@@ -116,7 +117,7 @@ class Gaussians {
       depths[shown++] = depth;
     }
     const order = sorted(depths, shown);
-    const instances = new Float32Array(STRIDE * shown);
+    const instances = new Float32Array(STRIDE * ROW * Math.ceil(shown / ROW));
     for (let k = 0; k < shown; ++k) {
       const from = STRIDE * order[k];
       for (let q = 0; q < 11; ++q) instances[STRIDE * k + q] = projected[from + q];
@@ -159,21 +160,27 @@ const TASKS = {
     if (own === newest) held = new Gaussians(answer); // an older answer may come after a newer one
   },
 
-  /** Project and sort; `whole` says whether every point of a pixel is drawn, or one that stands for them. */
-  async draw(/** @type {{camera: Camera, whole: boolean, least: number}} */ {camera, whole, least}) {
+  /**
+   * Project and sort, and without a graphics card blend.
+   * @param {{camera: Camera, whole: boolean, least: number, paint: boolean}} wish `whole`: every point of a
+   * pixel is drawn, not one that stands for them
+   */
+  async draw({camera, whole, least, paint}) {
     if (!held) return null;
     const points = whole ? held.filter.points : 1;
     const finer = {...camera, width: points * camera.width, height: points * camera.height};
     for (const name of ["fx", "fy", "cx", "cy"]) finer[name] = points * camera[name];
     const variance = whole ? held.filter.variance : coarser(held.filter);
-    return {...held.seen(finer, variance, least), points};
+    const {instances, count} = held.seen(finer, variance, least);
+    if (paint) return {values: painted(instances, count, camera.width, camera.height, points), count};
+    return {values: instances, count, points};
   },
 };
 
 self.onmessage = async ({data: {id, task, body}}) => {
   try {
     const answer = await TASKS[task](body);
-    self.postMessage({id, answer}, answer?.instances ? [answer.instances.buffer] : []);
+    self.postMessage({id, answer}, answer?.values ? [answer.values.buffer] : []);
   } catch (error) {
     self.postMessage({id, error: error.message});
   }
