@@ -78,9 +78,7 @@ def truth_of(store: Store, job_id: str, scene: str) -> tuple[Record, Truth]:
         if job.kind == "views" and job.subject == scene and not (job.edit or job.composition):
             return record, Truth(store.jobs / job.id)
         waiting += job.needs
-    raise DataError(
-        job_id, f"the store lacks the training views of {scene}", "Use the store that it ran in"
-    )
+    raise DataError(job_id, f"the store lacks the training views of {scene}", "Use the store that it ran in")
 
 
 def picture(

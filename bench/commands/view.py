@@ -18,7 +18,9 @@ def view_arguments(parser: ArgumentParser) -> None:
         help="jobs of --runs, folders of run stores or models, exported files (ply, spz, sog), datasets or "
         "their files; default: every model of --runs",
     )  # fmt: skip
-    parser.add_argument("--port", type=int, default=0, help="of the page on this machine (default: a free one)")
+    parser.add_argument(
+        "--port", type=int, default=0, help="of the page on this machine (default: a free one)"
+    )
     parser.add_argument("--no-open", action="store_true", help="print the address alone, open no browser")
     add_device(parser)
 

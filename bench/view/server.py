@@ -1,8 +1,8 @@
 """The server of the page: one address on this machine, with a token, for one page at a time or several.
 
-Everything lies under ``/TOKEN/``: the files of the page, and the routes of :data:`ROUTES`, which take and give
-JSON, or JSON and numbers (:class:`Numbers`). Requests that name another host, or come from another origin, are
-refused.
+Everything lies under ``/TOKEN/``: the files of the page, and the routes of :data:`ROUTES`, which take JSON
+and give JSON, or JSON and numbers (:class:`Numbers`). Requests that name another host, or come from another
+origin, are refused.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from econgs_bench.bench.view.sources import Edits, Opened, Source
 from econgs_bench.datasets.bounded import json_of
 from econgs_bench.datasets.camera import Camera
 from econgs_bench.datasets.errors import DataError, printable, text_of
+from econgs_bench.datasets.scene import RGB
 
 HOST = "127.0.0.1"
 TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
@@ -119,28 +120,27 @@ class Viewer:
 
     def picture(self, body: Mapping[str, Any]) -> Reply:
         """A picture that is drawn here; of the truth with one ray a pixel if ``coarse``."""
+        from econgs_bench.bench.jobs.measure import premultiplied
+
         source, scenes = self._source(body)
-        samples = 1 if body.get("coarse") else None
-        picture = source.picture(_camera(body), scenes, _edits(body, scenes), samples)
-        return _pixels({}, picture)
+        samples, background = 1 if body.get("coarse") else None, _background(body)
+        rgb, alpha = source.picture(_camera(body), scenes, _edits(body, scenes), background, samples)
+        return _pixels({}, premultiplied(rgb, alpha, background))
 
     def truth(self, body: Mapping[str, Any]) -> Reply:
         """The ground truth of a view, and by the harness's metrics what the source's own picture reaches."""
         from econgs_bench.bench.metrics import evaluate
-        from econgs_bench.datasets.views import over
 
         source, scenes = self._source(body)
-        camera, edits = _camera(body), _edits(body, scenes)
-        samples = 1 if body.get("coarse") else None
-        truth = source.truth(camera, scenes, edits, samples)
-        if source.model is None or body.get("coarse"):
-            return _pixels({"scores": None}, truth)
-        camera = camera.resized(truth.shape[1], truth.shape[0])
-        drawn = source.picture(camera, scenes, edits, None)
-        red, green, blue = (float(value) for value in body["background"])
-        background = (red, green, blue)
-        scores = evaluate(truth, over(drawn, background), drawn[..., 3], background, SCORES)
-        return _pixels({"scores": scores.values}, truth)
+        camera, edits, background = _camera(body), _edits(body, scenes), _background(body)
+        coarse = bool(body.get("coarse"))
+        truth = source.truth(camera, scenes, edits, 1 if coarse else None)
+        scores = None
+        if source.model is not None:
+            camera = camera.resized(truth.shape[1], truth.shape[0])
+            rgb, alpha = source.picture(camera, scenes, edits, background, None)
+            scores = evaluate(truth, rgb, alpha, background, SCORES[:1] if coarse else SCORES).values
+        return _pixels({"scores": scores}, truth)
 
     def edit(self, body: Mapping[str, Any]) -> Reply:
         """The text of a file that `bench render --edit` reads, after a check of what it says."""
@@ -196,6 +196,14 @@ def _camera(body: Mapping[str, Any]) -> Camera:
     ):
         raise ValueError("the camera is out of range")
     return Camera(matrix, fx, fy, cx, cy, width, height, near=near)
+
+
+def _background(body: Mapping[str, Any]) -> RGB:
+    """The background of a request."""
+    red, green, blue = (float(value) for value in body["background"])
+    if not (0.0 <= min(red, green, blue) and max(red, green, blue) <= 1.0):
+        raise ValueError("the background is no color")
+    return red, green, blue
 
 
 def _pixels(facts: Mapping[str, Any], picture: NDArray[np.float32]) -> Numbers:
@@ -302,8 +310,8 @@ class Handler(BaseHTTPRequestHandler):
         ):
             self._refuse(HTTPStatus.FORBIDDEN, "another host or origin")
             return None
-        _, token, name = (*self.path.partition("?")[0].split("/", 2), "", "")[:3]
-        if not hmac.compare_digest(token.encode("latin-1", "replace"), self.server.token.encode()):
+        token, slash, name = self.path.removeprefix("/").partition("?")[0].partition("/")
+        if not (hmac.compare_digest(token.encode(), self.server.token.encode()) and slash):
             self._refuse(HTTPStatus.NOT_FOUND, "open the address that `bench view` printed")
             return None
         return name

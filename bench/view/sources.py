@@ -202,28 +202,34 @@ class Opened:
         low_pass = replace(own.low_pass, smoothing=0.0)
         return own._replace(means=own.means * units, scales=scales * units, camera=camera, low_pass=low_pass)
 
-    def picture(self, camera: Camera, scenes: Sequence[str], edits: Edits, samples: int | None) -> Picture:
+    def picture(
+        self, camera: Camera, scenes: Sequence[str], edits: Edits, background: RGB, samples: int | None
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """A view, drawn here: by the model, or the truth where there is none.
 
         Args:
             camera: the view.
             scenes: shown together, at least one.
             edits: by scene.
+            background: on which it is composited.
             samples: rays a pixel of the truth; None: as many as the dataset asks for.
+
+        Returns:
+            RGB (height, width, 3) and alpha (height, width).
 
         Raises:
             DataError: the scenes or the edit are refused, or the volume is gone.
         """
-        if self.model is None:
-            return self.truth(camera, scenes, edits, samples)
-        from econgs_bench.bench.jobs.measure import premultiplied
         from econgs_bench.bench.saved import picture
+        from econgs_bench.datasets.views import over
 
-        black = (0.0, 0.0, 0.0)
-        return premultiplied(*picture(self.model, camera, list(scenes), edits, black), black)
+        if self.model is not None:
+            return picture(self.model, camera, list(scenes), edits, background)
+        truth = self.truth(camera, scenes, edits, samples)
+        return over(truth, background), truth[..., 3]
 
     def truth(self, camera: Camera, scenes: Sequence[str], edits: Edits, samples: int | None) -> Picture:
-        """The ground truth of a view; arguments as of :meth:`picture`."""
+        """The ground truth of a view, without a background; arguments as of :meth:`picture`."""
         if self.drawer is None:
             reason, remedy = "its ground truth is not at hand", "View a model of a run store, or a dataset"
             raise DataError("this file", reason, remedy)
@@ -329,7 +335,9 @@ def _models(store: Store, plugins: Sequence[str], device: str) -> list[Source]:
         if record.job.kind == "encode" and record.ok and store.holds_files_of(record)
     ]
     if not records:
-        raise DataError(store.root, "holds no finished model", "Run a suite into it: bench run quick --out DIR")
+        raise DataError(
+            store.root, "holds no finished model", "Run a suite into it: bench run quick --out DIR"
+        )
     return [_job(store, record.job.id, plugins, device) for record in records]
 
 
@@ -383,7 +391,9 @@ def _folder(folder: Path, plugins: Sequence[str], device: str) -> Opened:
         size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
         cameras = _around(model, model.scenes)
         return Opened(model.scenes, WHITE, cameras, model, edits=frozenset(spec.edits), size=size)
-    raise DataError(folder, f"no method reads it ({reasons[0] if reasons else 'there is none'})", "Give a job")
+    raise DataError(
+        folder, f"no method reads it ({reasons[0] if reasons else 'there is none'})", "Give a job"
+    )
 
 
 def _file(file: Path) -> Opened:
@@ -400,9 +410,7 @@ def _file(file: Path) -> Opened:
     except Refused as error:
         raise DataError(file, str(error), "Install it, or export another format") from error
     cameras = _around(model, model.scenes)
-    return Opened(
-        model.scenes, WHITE, cameras, model, edits=frozenset({"opacity"}), size=file.stat().st_size
-    )
+    return Opened(model.scenes, WHITE, cameras, model, edits=frozenset({"opacity"}), size=file.stat().st_size)
 
 
 def _around(model: Model, scenes: Sequence[str]) -> tuple[Camera, ...]:

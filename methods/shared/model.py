@@ -210,11 +210,11 @@ class SceneModel(SceneSet[S]):
         camera = self._in_units(camera)
         with torch.inference_mode():
             parts = self.together(subset, camera, edits)
-            fields = (
+            means, quats, scales, opacities, colors = (
                 torch.cat([getattr(one, name) for one in parts])
                 for name in ("means", "quats", "scales", "opacities", "colors")
             )
-            return Splats(*fields, camera, low_pass=self.rendering.low_pass)
+        return Splats(means, quats, scales, opacities, colors, camera, low_pass=self.rendering.low_pass)
 
     def picture(
         self, scenes: Sequence[S], camera: Camera, edits: Mapping[str, Edit]

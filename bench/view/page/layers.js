@@ -24,6 +24,12 @@ class Task {
     };
   }
 
+  /** Whoever waits gets null. */
+  end() {
+    this.worker.terminate();
+    for (const [done] of this.waiting.values()) done(null);
+  }
+
   /** @param {string} task @param {object} body @returns {Promise<any>} */
   ask(task, body) {
     const id = crypto.randomUUID();
@@ -59,7 +65,7 @@ export class Layer {
     this.exact = this.loaded = -1;
     this.scores = null;
     this.error = "";
-    this.task?.worker.terminate();
+    this.task?.end();
     this.task = route === "splats" ? new Task() : null;
     this.asked = this.busy = false;
   }

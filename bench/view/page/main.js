@@ -197,7 +197,7 @@ function wire() {
     changed();
   });
   for (const id of ["split"]) on(id, "input", refresh);
-  on("background", "input", () => layers.some((one) => one.route === "truth") ? changed() : refresh());
+  on("background", "input", () => layers.some((one) => one.route !== "splats") ? changed() : refresh());
   on("least", "input", () => { byId("leastText").textContent = byId("least").value; changed(); });
   on("size", "change", changed);
   on("bookmark", "change", () => stand(Number(byId("bookmark").value)));
@@ -256,6 +256,9 @@ globalThis.bench = {
   read: (/** @type {number} */ which) => ({
     values: painter.read(layers[which].picture), width: layers[which].picture.width, height: layers[which].picture.height,
   }),
+  software: (/** @type {boolean} */ on) => { painter.software = on; changed(); },
+  source: (/** @type {number} */ which) => layers[which].source,
+  scenes: () => scenes.of(source(layers[0])),
   frames: () => frames, camera: () => wish(layers[0]).camera, share: () => share,
 };
 start().catch(say);

@@ -35,7 +35,8 @@ class Browser:
         command = [
             program, "--headless=new", "--remote-debugging-pipe", "--no-sandbox", "--disable-gpu",
             "--disable-dev-shm-usage", "--no-first-run", "--mute-audio", "--hide-scrollbars",
-            "--disable-background-networking", "--disable-component-update", f"--user-data-dir={profile}", *flags,
+            "--disable-background-networking", "--disable-component-update", f"--user-data-dir={profile}",
+            *flags,
         ]  # fmt: skip
 
         def wire() -> None:  # the browser expects its pipes as descriptors 3 and 4
