@@ -201,7 +201,7 @@ def _camera(body: Mapping[str, Any]) -> Camera:
 def _background(body: Mapping[str, Any]) -> RGB:
     """The background of a request."""
     red, green, blue = (float(value) for value in body["background"])
-    if not (0.0 <= min(red, green, blue) and max(red, green, blue) <= 1.0):
+    if not (min(red, green, blue) >= 0.0 and max(red, green, blue) <= 1.0):
         raise ValueError("the background is no color")
     return red, green, blue
 

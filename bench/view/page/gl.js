@@ -126,7 +126,7 @@ export class Painter {
    * @throws {Error} the browser cannot draw
    */
   constructor(canvas, scale, most) {
-    const gl = canvas.getContext("webgl2", {alpha: false, antialias: false, preserveDrawingBuffer: true});
+    const gl = canvas.getContext("webgl2", {alpha: false, antialias: false});
     if (!gl) throw new Error("This browser has no WebGL 2: update it, or switch hardware acceleration on.");
     if (!gl.getExtension("EXT_color_buffer_float") && !gl.getExtension("EXT_color_buffer_half_float")) {
       throw new Error("This graphics card draws no half floats: use another browser, or a newer driver.");

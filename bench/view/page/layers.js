@@ -3,6 +3,7 @@
 import {ask} from "./server.js";
 
 const COARSE = 96; // shorter side of pictures from the server while the camera moves, px
+const PAUSE = 100; // ms between an answer of the server and the next question while the camera moves
 
 /**
  * @typedef {object} Wish what is to be seen
@@ -52,6 +53,7 @@ export class Layer {
     this.route = "splats"; // or "picture", "truth"
     this.exact = -1; // stamp of what is shown in full quality
     this.asked = false; // for a moving camera
+    this.came = 0; // when the last answer to that came
     this.busy = false; // in full quality
     this.scores = null;
     this.count = 0;
@@ -78,7 +80,7 @@ export class Layer {
     const {width, height} = wish.camera, least = Math.min(width, height);
     const by = this.task ? share : Math.min(1, COARSE / least);
     const camera = smaller(wish.camera, Math.max(1, Math.round(by * width)), Math.max(1, Math.round(by * height)));
-    if (!this.asked) this.later(wish, camera);
+    if (!this.asked && performance.now() - this.came > PAUSE) this.later(wish, camera);
     if (this.task) await this.splat(camera, false, wish.least);
   }
 
@@ -98,6 +100,7 @@ export class Layer {
     }
     if (task === this.task && route === this.route) {
       this.asked = false;
+      this.came = performance.now();
       this.changed();
     }
   }

@@ -26,6 +26,7 @@ const moving = () => performance.now() - moved < REST;
 
 /** Something of the view has changed. */
 function changed() {
+  if (!source(layers[0])) return;
   ++stamp;
   moved = performance.now();
   delete document.body.dataset.settled;
@@ -151,6 +152,7 @@ async function choose(layer, place, truth = false) {
         element("option", {value: i, textContent: one.name || `view ${i}`})));
       if (first) {
         byId("background").value = hex(known.background);
+        if (!known.truth && about.sources.length > 1) byId("right").value = "1";
         stand(0);
       } else byId("bookmark").value = bookmark < known.cameras.length ? bookmark : 0;
       const options = [...byId("right").options];
@@ -167,7 +169,9 @@ async function choose(layer, place, truth = false) {
 
 /** @param {number} place of a bookmark */
 function stand(place) {
-  const known = source(layers[0]), count = known.cameras.length;
+  const known = source(layers[0]);
+  if (!known) return;
+  const count = known.cameras.length;
   bookmark = (place + count) % count;
   byId("bookmark").value = bookmark;
   view.stand(known.cameras[bookmark], known.centre);
@@ -188,7 +192,7 @@ function wire() {
     for (const id of ["left", "right"]) byId(id).append(element("option", {value: place, textContent: label}));
   });
   byId("right").prepend(element("option", {value: "truth", textContent: "its ground truth"}));
-  byId("right").value = about.sources.length > 1 ? "1" : "truth";
+  byId("right").value = "truth";
   on("left", "change", () => choose(layers[0], Number(byId("left").value)));
   on("right", "change", right);
   on("modes", "change", async () => {
@@ -211,10 +215,14 @@ function wire() {
   });
   on("save", "click", async () => {
     const own = source(layers[0]);
+    if (!own) return;
     const body = {source: layers[0].source, scenes: scenes.of(own), edits: scenes.texts(own)};
     download("edits.toml", new Blob([(await ask("edit", body)).text], {type: "application/toml"}));
   });
-  on("shot", "click", () => canvas.toBlob((blob) => download("view.png", blob)));
+  on("shot", "click", () => {
+    present(); // what a canvas holds is lost when it was shown
+    canvas.toBlob((blob) => download("view.png", blob));
+  });
   canvas.addEventListener("keydown", (event) => {
     const act = {n: () => stand(bookmark + 1), p: () => stand(bookmark - 1), r: () => stand(bookmark)}[event.key];
     if (act) act();
@@ -258,6 +266,7 @@ globalThis.bench = {
   }),
   software: (/** @type {boolean} */ on) => { painter.software = on; changed(); },
   source: (/** @type {number} */ which) => layers[which].source,
+  shot: () => { present(); return canvas.toDataURL("image/png"); },
   scenes: () => scenes.of(source(layers[0])),
   frames: () => frames, camera: () => wish(layers[0]).camera, share: () => share,
 };
