@@ -8,6 +8,7 @@ origin, are refused.
 from __future__ import annotations
 
 import errno
+import hashlib
 import hmac
 import json
 import secrets
@@ -105,7 +106,10 @@ class Viewer:
         return {**source.about(), "label": printable(self.sources[int(body["source"])].label)}
 
     def splats(self, body: Mapping[str, Any]) -> Reply:
-        """The Gaussians of a view: means, quaternions, scales, opacities and colors."""
+        """The Gaussians of a view: means, quaternions, scales, opacities and colors.
+
+        Of the first four only their ``key``, where the page says that it has them.
+        """
         source, scenes = self._source(body)
         own = source.splats(_camera(body), scenes, _edits(body, scenes))
         low = own.low_pass
@@ -115,8 +119,12 @@ class Viewer:
             "rayPower": low.ray_power,
             "points": low.points,
         }
-        fields = ("means", "quats", "scales", "opacities", "features")
-        return Numbers(facts, **{name: getattr(own, name).cpu().numpy() for name in fields})
+        names = ("means", "quats", "scales", "opacities")
+        shapes = {name: np.ascontiguousarray(getattr(own, name).cpu().numpy()) for name in names}
+        key = hashlib.blake2b(b"".join(one.data for one in shapes.values()), digest_size=16).hexdigest()
+        colors = own.features.cpu().numpy()
+        known = {} if body.get("has") == key else shapes
+        return Numbers({**facts, "key": key}, colors=colors, **known)
 
     def picture(self, body: Mapping[str, Any]) -> Reply:
         """A picture that is drawn here; of the truth with one ray a pixel if ``coarse``."""

@@ -25,9 +25,9 @@ const MIN_AREAS = 1e-60;
 class Gaussians {
   /** @param {any} answer of the route `splats` */
   constructor(answer) {
-    this.filter = answer; // variance, compensated, rayPower, points
+    this.filter = answer; // variance, compensated, rayPower, points, and the key of all but colors
     this.means = answer.means;
-    this.colors = answer.features;
+    this.colors = answer.colors;
     this.opacities = answer.opacities;
     const count = this.count = answer.opacities.length;
     const axes = this.axes = new Float64Array(9 * count); // columns of rotation times scale
@@ -156,8 +156,10 @@ let newest = 0;
 const TASKS = {
   /** Take the Gaussians of a view from the server. */
   async load(/** @type {object} */ body) {
-    const own = ++newest, answer = await ask("splats", body);
-    if (own === newest) held = new Gaussians(answer); // an older answer may come after a newer one
+    const own = ++newest, before = held, answer = await ask("splats", {...body, has: before?.filter.key});
+    if (own !== newest) return; // an older answer may come after a newer one
+    if (answer.means) held = new Gaussians(answer);
+    else Object.assign(before, {colors: answer.colors, filter: answer}), held = before;
   },
 
   /**

@@ -130,7 +130,7 @@ def test_the_page_draws_what_the_harness_measures(page: Page, place: int, scene:
         drawn = page.pixels()
         assert drawn.shape == (400, 400, 3)
         assert psnr(drawn, own) > LEAST
-        assert np.abs(page.canvas() / 255.0 - own).max() < 1.2 / 255
+        assert np.abs(page.canvas() / 255.0 - own).max() < 2.5 / 255
 
 
 def test_in_a_larger_picture_too(page: Page) -> None:

@@ -131,6 +131,17 @@ def test_bad_requests_get_sentences(server: Server) -> None:
     assert request(server, f"/{server.token}/splats", "[" * 100_000)[0] == 400
 
 
+def test_what_the_page_has_is_not_sent_again(server: Server) -> None:
+    whole = ask(server, "splats", source=0, camera=CAMERA)[1]
+    other = camera_json(CAMERAS[2])
+    again = ask(server, "splats", source=0, camera=other, has=whole["key"])[1]
+    assert "means" in whole
+    assert "means" not in again
+    assert np.abs(again["colors"] - whole["colors"]).max() > 0.0
+    faint = ["cores.opacity=0.5"]
+    assert "means" in ask(server, "splats", source=0, camera=other, has=whole["key"], edits=faint)[1]
+
+
 def test_truth_comes_with_the_harness_s_own_numbers(server: Server) -> None:
     status, answer = ask(server, "truth", source=0, scenes=["cores"], camera=CAMERA, background=[1, 1, 1])
     assert status == 200
