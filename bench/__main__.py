@@ -43,6 +43,7 @@ COMMANDS = {
         "propose transfer functions for a volume file, to edit, and draw what they show",
     ),
     "render": ("pictures:render", "write pictures: ground truth, or those of a finished model"),
+    "view": ("view:view", "look at models and scenes in a browser: turn, edit, compare, beside the truth"),
     "export": ("export:export", "write a finished model of Gaussians as a file that viewers of splats open"),
     "samples": (
         "samples:samples",

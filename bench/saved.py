@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from econgs_bench.bench.jobs.truth import Truth
+    from econgs_bench.bench.store.records import Record
     from econgs_bench.datasets.camera import Camera
     from econgs_bench.datasets.edits import Edit
     from econgs_bench.datasets.scene import RGB
@@ -56,6 +58,27 @@ def load(
         raise DataError(job_id, str(error), "Render another model, or on another device") from error
     count = sum(file.stat().st_size for folder in folders for file in folder.rglob("*") if file.is_file())
     return spec.name, record.job.scenes, count, model
+
+
+def truth_of(store: Store, job_id: str, scene: str) -> tuple[Record, Truth]:
+    """The views job of a basic scene that a job builds on, and what it stored.
+
+    Raises:
+        DataError: they are not in the store.
+    """
+    from econgs_bench.bench.jobs.truth import Truth
+
+    waiting, seen = [job_id], set()
+    while waiting:
+        record = store.record(waiting.pop())
+        if record is None or record.job.id in seen:
+            continue
+        seen.add(record.job.id)
+        job = record.job
+        if job.kind == "views" and job.subject == scene and not (job.edit or job.composition):
+            return record, Truth(store.jobs / job.id)
+        waiting += job.needs
+    raise DataError(job_id, f"the store lacks the training views of {scene}", "Use the store that it ran in")
 
 
 def picture(

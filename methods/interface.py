@@ -349,6 +349,20 @@ class HasGaussians(Protocol):
         """What is splatted of a scene in a view, and (M,) the number of each, the same in every view."""
 
 
+@runtime_checkable
+class Splatted(Protocol):
+    """A model whose pictures are Gaussians splatted once: another rasteriser can draw the same."""
+
+    def splatted(
+        self, camera: Camera, scenes: Sequence[str] | None = None, edit: Mapping[str, Edit] | None = None
+    ) -> Splats:
+        """What is splatted of scenes (default: all) in a view; arguments as of :meth:`Model.render`.
+
+        Raises:
+            Refused: an edit or a composition that the method cannot do.
+        """
+
+
 Decoding = Literal["once", "per frame"]
 """When networks make what is drawn: as the model is loaded, or again for each frame."""
 

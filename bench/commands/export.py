@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from econgs_bench.bench.commands.arguments import add_device, add_runs, add_stored, iterations
 from econgs_bench.bench.run.plugins import plugin_folders
-from econgs_bench.bench.saved import load, picture
+from econgs_bench.bench.saved import load, picture, truth_of
 from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.names import unknown
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from econgs_bench.bench.jobs.truth import Truth
     from econgs_bench.datasets.camera import Camera
     from econgs_bench.datasets.scene import RGB
     from econgs_bench.datasets.views import Split, ViewSet
@@ -67,7 +66,8 @@ def export(options: Namespace) -> int:
     step(f"loading {options.model}")
     method, scenes, size, model = load(store, options.model, folders, options.device)
     scene = _scene(options, scenes, model)
-    truth, split = truth_of(store, options.model, scene)
+    record, truth = truth_of(store, options.model, scene)
+    split: Split = "train" if record.job.split == "val" else "trainval"
     viewer, stages = _plain(model, scene, truth.cameras(split), truth.scene().background, options)
     gaussians = next(reversed(stages.values()))
     step(f"writing {file}")
@@ -120,28 +120,6 @@ def _scene(options: Namespace, scenes: Sequence[str], model: Model) -> str:
     if len(scenes) != 1:
         raise DataError(options.model, f"holds {', '.join(scenes)}", "Choose one: --scene NAME")
     return scenes[0]
-
-
-def truth_of(store: Store, job: str, scene: str) -> tuple[Truth, Split]:
-    """The views of a scene that a job's fit saw, and the split that it trained on.
-
-    Raises:
-        DataError: they are not in the store.
-    """
-    from econgs_bench.bench.jobs.truth import Truth
-
-    waiting, seen = [job], set()
-    while waiting:
-        record = store.record(waiting.pop())
-        if record is None or record.job.id in seen:
-            continue
-        seen.add(record.job.id)
-        if record.job.kind == "views" and record.job.subject == scene and not record.job.edit:
-            return Truth(store.jobs / record.job.id), "train" if record.job.split == "val" else "trainval"
-        waiting += record.job.needs
-    raise DataError(
-        job, f"the store lacks the training views of {scene}", "Export from the store that it ran in"
-    )
 
 
 def _plain(

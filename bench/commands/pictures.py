@@ -58,9 +58,9 @@ def render_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--out", default="pictures", metavar="DIR", help="default: pictures")
     parser.add_argument("--model", metavar="JOB", help="an encode or measure job of --runs: render its model")
     repeatable(
-        parser, "--edit", metavar="SCENE.WHAT=VALUE",
+        parser, "--edit", metavar="SCENE.WHAT=VALUE|FILE",
         help="show it edited: palette=#ff8800, light=headlight or x,y,z, or a factor: opacity, ambient, "
-        "diffuse, specular, shininess",
+        "diffuse, specular, shininess; or a file that `bench view` saved",
     )  # fmt: skip
     parser.add_argument(
         "--truth", action="store_true", help="with --model: the ground truth beside, and PSNR"
@@ -91,7 +91,7 @@ def _render(options: Namespace, dataset_name: str) -> None:
     from econgs_bench.bench.metrics import evaluate
     from econgs_bench.bench.plan import inputs
     from econgs_bench.bench.store.records import Request
-    from econgs_bench.bench.suites.edits import parse_edits
+    from econgs_bench.bench.suites.edits import given_edits
     from econgs_bench.bench.suites.suite import ViewPreset
     from econgs_bench.datasets.catalogue import open_dataset
     from econgs_bench.datasets.ground_truth.sampling import samples_of
@@ -107,7 +107,7 @@ def _render(options: Namespace, dataset_name: str) -> None:
     model, default = _model(options) if options.model else (None, ())
     names = options.scene or default or [scene.name for scene in dataset.scenes]
     parts = {name: [scene.name for scene in dataset.parts(name)] for name in names}
-    edits = parse_edits(options.edit)
+    edits = given_edits(options.edit)
     for scene in edits:
         if not any(scene in part for part in parts.values()):
             raise unknown("edited scene", scene, [scene for part in parts.values() for scene in part])

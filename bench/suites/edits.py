@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from itertools import cycle
+from pathlib import Path
 from typing import Any
 
 from econgs_bench.datasets.colors import hex_color
 from econgs_bench.datasets.edits import Edit
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.names import unknown
+from econgs_bench.datasets.toml import read_toml
 
 KINDS = tuple(field.name for field in fields(Edit) if field.name != "transfer")
 """Edits that a text can write; a transfer function is none of them."""
@@ -34,6 +37,33 @@ def parse_edits(texts: Iterable[str]) -> dict[str, Edit]:
             raise unknown("edit", kind, KINDS)
         edits[scene] = replace(edits.get(scene, Edit()), **{kind: _value(text, kind, value)})
     return edits
+
+
+def toml_of(edits: Mapping[str, Edit]) -> str:
+    """The file of edits that :func:`given_edits` reads: a table per scene, values as on the command line."""
+    lines = ["# bench render DATASET --model JOB --edit THIS_FILE"]
+    for scene, edit in edits.items():
+        pairs = [part.split("=", 1) for part in text_of(edit).split()]
+        name = json.dumps(scene, ensure_ascii=False).replace("\x7f", "\\u007f")  # a basic string of TOML
+        lines += ["", f"[{name}]", *(f'{kind} = "{value}"' for kind, value in pairs)]
+    return "\n".join(lines) + "\n"
+
+
+def given_edits(words: Iterable[str]) -> dict[str, Edit]:
+    """Edits of a command line, where a word may name a file that :func:`toml_of` wrote.
+
+    Raises:
+        DataError: a file cannot be read, or is no file of edits; and as :func:`parse_edits`.
+    """
+    texts: list[str] = []
+    for word in words:
+        if "=" in word or not word.lower().endswith(".toml"):
+            texts.append(word)
+            continue
+        remedy = 'Write [skin] and below it opacity = "0.5"'
+        tables = read_toml(Path(word), dict[str, dict[str, str | int | float]], remedy)
+        texts += [f"{scene}.{kind}={value}" for scene, edit in tables.items() for kind, value in edit.items()]
+    return parse_edits(texts)
 
 
 def edit_of(scene: str, text: str) -> dict[str, Edit]:

@@ -201,6 +201,21 @@ class SceneModel(SceneSet[S]):
         """The Gaussians of scenes that are shown together: those of each, unless scenes share some."""
         return [self.gaussians(scene, camera, edits.get(scene.name, Edit())) for scene in scenes]
 
+    def splatted(
+        self, camera: Camera, scenes: Sequence[str] | None = None, edit: Mapping[str, Edit] | None = None
+    ) -> Splats:
+        """What :meth:`picture` splats; see :class:`.methods.interface.Splatted`."""
+        subset = self.chosen(scenes)
+        edits = edits_by_scene(edit, [scene.name for scene in subset])
+        camera = self._in_units(camera)
+        with torch.inference_mode():
+            parts = self.together(subset, camera, edits)
+            means, quats, scales, opacities, colors = (
+                torch.cat([getattr(one, name) for one in parts])
+                for name in ("means", "quats", "scales", "opacities", "colors")
+            )
+        return Splats(means, quats, scales, opacities, colors, camera, low_pass=self.rendering.low_pass)
+
     def picture(
         self, scenes: Sequence[S], camera: Camera, edits: Mapping[str, Edit]
     ) -> tuple[Tensor, Tensor]:

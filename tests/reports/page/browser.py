@@ -27,7 +27,7 @@ class Browser:
     """One tab. ``problems`` collects console errors and exceptions, ``requests`` every
     request beyond the page."""
 
-    def __init__(self, profile: Path) -> None:
+    def __init__(self, profile: Path, *flags: str) -> None:
         program = executable()
         assert program is not None
         to_browser, self._write = os.pipe()
@@ -36,6 +36,7 @@ class Browser:
             program, "--headless=new", "--remote-debugging-pipe", "--no-sandbox", "--disable-gpu",
             "--disable-dev-shm-usage", "--no-first-run", "--mute-audio", "--hide-scrollbars",
             "--disable-background-networking", "--disable-component-update", f"--user-data-dir={profile}",
+            *flags,
         ]  # fmt: skip
 
         def wire() -> None:  # the browser expects its pipes as descriptors 3 and 4
@@ -115,10 +116,10 @@ class Browser:
         elif event == "Network.requestWillBeSent" and not params["request"]["url"].startswith("data:"):
             self.requests.append(params["request"]["url"])
 
-    def open(self, page: Path) -> None:
-        """Load a file and wait until it is there."""
+    def open(self, page: Path | str) -> None:
+        """Load a file, or an address, and wait until it is there."""
         self._loaded = False
-        self.call("Page.navigate", url=page.resolve().as_uri())
+        self.call("Page.navigate", url=page if isinstance(page, str) else page.resolve().as_uri())
         while not self._loaded:
             self._next()
 

@@ -1,0 +1,452 @@
+"""What is looked at: trained models, exported files, and the ground truth of scenes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from threading import Lock
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from econgs_bench.datasets.camera import Camera, looked_at
+from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.scene import RGB, WHITE, BasicScene, Dataset
+
+if TYPE_CHECKING:
+    from econgs_bench.bench.jobs.truth import Truth
+    from econgs_bench.bench.store.store import Store
+    from econgs_bench.datasets.edits import Edit
+    from econgs_bench.econgs.splat.splats import Splats
+    from econgs_bench.methods.interface import Model
+
+Picture = NDArray[np.float32]
+"""(height, width, 4) premultiplied RGBA in [0, 1], without a background."""
+Edits = Mapping[str, "Edit"]
+FILES = (".ply", ".spz", ".sog")
+"""Exported files that can be read again."""
+_VIEWS = 16  # bookmarks of a source that no test views belong to
+_SIZE = 256
+_PREPARED = 4  # scenes whose tracing is set up
+
+
+# --------------------------------------------------------------------------- ground truth
+
+
+class Drawer(Protocol):
+    """Draws the ground truth of scenes together."""
+
+    def draw(self, camera: Camera, scenes: Sequence[str], edits: Edits, samples: int | None) -> Picture:
+        """One view; ``samples`` rays a pixel, by default as many as the dataset asks for.
+
+        Raises:
+            DataError: the volume is gone, or the scenes or the edit cannot be drawn.
+        """
+
+
+class Marched:
+    """Ground truth at any camera, marched through the volume.
+
+    One thread does all of it: Mitsuba belongs to the thread that started it, and one picture at a time is
+    what two cores can draw.
+
+    Args:
+        dataset: with volumes; None: ``name`` is opened when the first picture is asked for.
+        name: in the catalogue, or a path.
+        samples: rays a pixel at rest.
+    """
+
+    def __init__(self, name: str, dataset: Dataset | None = None, samples: int = 0) -> None:
+        self._name, self._dataset, self._samples = name, dataset, samples
+        self._thread = ThreadPoolExecutor(1, "truth")
+        self._prepared: dict[Any, Any] = {}
+
+    def draw(self, camera: Camera, scenes: Sequence[str], edits: Edits, samples: int | None) -> Picture:
+        """One view; see :class:`Drawer`."""
+        return self._thread.submit(self._draw, camera, tuple(scenes), edits, samples).result()
+
+    def _draw(self, camera: Camera, scenes: tuple[str, ...], edits: Edits, samples: int | None) -> Picture:
+        rays = self._samples if samples is None else samples
+        key = scenes, repr(sorted(edits.items())), rays
+        if key not in self._prepared:
+            while len(self._prepared) >= _PREPARED:
+                del self._prepared[next(iter(self._prepared))]
+            self._prepared[key] = self._prepare(scenes, edits, rays)
+        return np.asarray(self._prepared[key]((camera,))[0])
+
+    def _prepare(self, scenes: tuple[str, ...], edits: Edits, rays: int) -> Any:
+        from econgs_bench.datasets.catalogue import open_dataset
+        from econgs_bench.datasets.edits import edited
+        from econgs_bench.datasets.render_views import RenderJob
+        from econgs_bench.datasets.views import ViewRequest
+
+        if self._dataset is None:
+            self._dataset = open_dataset(self._name)
+        parts = tuple(self._dataset.scene(name) for name in scenes)
+        parts = tuple(edited(one, edits[one.name]) if one.name in edits else one for one in parts)
+        request = ViewRequest("test", 12, 1, 8, 8, samples=rays)
+        return RenderJob.of(self._dataset, parts, request, "auto").set_up()[0]
+
+
+class Stored:
+    """Ground truth at the test views of a store alone, of a scene that was rendered elsewhere.
+
+    Args:
+        scene: its name.
+        truth: what its views job stored.
+    """
+
+    def __init__(self, scene: str, truth: Truth) -> None:
+        self._scene, self._truth, self._cameras = scene, truth, truth.cameras("test")
+
+    def draw(self, camera: Camera, scenes: Sequence[str], edits: Edits, samples: int | None) -> Picture:
+        """A test view in its own size; see :class:`Drawer`."""
+        near = [np.abs(one.camera_to_world - camera.camera_to_world).max() for one in self._cameras]
+        place = int(np.argmin(near))
+        if near[place] > 1e-6 or edits or list(scenes) != [self._scene]:
+            reason = "was rendered elsewhere: its truth is known at its test views alone, one scene, unedited"
+            raise DataError(self._scene, reason, "Choose a bookmark")
+        return np.asarray(self._truth.views("test", [place]).images[0])
+
+
+# --------------------------------------------------------------------------- sources
+
+
+@dataclass(eq=False)
+class Opened:
+    """A source that is ready to be drawn.
+
+    Attributes:
+        scenes: names, of which any subset may be shown.
+        background: as recorded.
+        cameras: bookmarks, at least one.
+        model: None: the truth itself.
+        drawer: of its ground truth; None: not at hand.
+        definitions: basic scenes by name, as far as they are known.
+        edits: parts of :class:`.datasets.edits.Edit` that the model honours.
+        shown: the scenes that are shown at first; empty: the first one.
+        size: bytes of the files; None of the truth.
+        seconds: time to load.
+    """
+
+    scenes: tuple[str, ...]
+    background: RGB
+    cameras: tuple[Camera, ...]
+    model: Model | None = None
+    drawer: Drawer | None = None
+    definitions: Mapping[str, BasicScene] = field(default_factory=dict)
+    edits: frozenset[str] = frozenset()
+    shown: tuple[str, ...] = ()
+    size: int | None = None
+    seconds: float = 0.0
+
+    def about(self) -> dict[str, Any]:
+        """What the page shows of it, as JSON values."""
+        from econgs_bench.datasets.edits import mean_color
+        from econgs_bench.methods.interface import Splatted
+
+        centre = looked_at(self.cameras)
+        scenes = []
+        for name in self.scenes:
+            scene = self.definitions.get(name)
+            known = scene is not None and scene.views_folder is None
+            light = None if scene is None or scene.light is None else scene.light.direction
+            scenes.append({
+                "name": name,
+                "color": mean_color(scene) if known and scene is not None else None,
+                "light": light,
+                "primitives": None if self.model is None else self.model.primitives(name),
+            })  # fmt: skip
+        return {
+            "scenes": scenes,
+            "background": self.background,
+            "cameras": [camera_json(camera) for camera in self.cameras],
+            "centre": centre.tolist(),
+            "splats": isinstance(self.model, Splatted),
+            "truth": self.drawer is not None,
+            "model": self.model is not None,
+            "edits": sorted(self.edits),
+            "shown": self.shown or self.scenes[:1],
+            "bytes": self.size,
+            "seconds": self.seconds,
+        }
+
+    def splats(self, camera: Camera, scenes: Sequence[str], edits: Edits) -> Splats:
+        """What is splatted, in scene units; the variance in the scene is part of the scales.
+
+        Raises:
+            DataError: the source does not consist of Gaussians, or refuses the scenes or the edit.
+        """
+        import math
+        from dataclasses import replace
+
+        import torch
+
+        from econgs_bench.methods.interface import Refused, Splatted
+
+        if not isinstance(self.model, Splatted):
+            raise DataError("this model", "does not consist of Gaussians", "Ask for its picture")
+        try:
+            own = self.model.splatted(camera, scenes, edits)
+        except Refused as error:
+            raise DataError("this picture", str(error), "Leave out what this method refuses") from error
+        # The camera came back in the model's own units.
+        units = camera.near / own.camera.near
+        scales, smoothing = own.scales, own.low_pass.smoothing
+        if smoothing:
+            scales = torch.hypot(scales, scales.new_tensor(math.sqrt(smoothing)))
+        low_pass = replace(own.low_pass, smoothing=0.0)
+        return own._replace(means=own.means * units, scales=scales * units, camera=camera, low_pass=low_pass)
+
+    def picture(
+        self, camera: Camera, scenes: Sequence[str], edits: Edits, background: RGB, samples: int | None
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """A view, drawn here: by the model, or the truth where there is none.
+
+        Args:
+            camera: the view.
+            scenes: shown together, at least one.
+            edits: by scene.
+            background: on which it is composited.
+            samples: rays a pixel of the truth; None: as many as the dataset asks for.
+
+        Returns:
+            RGB (height, width, 3) and alpha (height, width).
+
+        Raises:
+            DataError: the scenes or the edit are refused, or the volume is gone.
+        """
+        from econgs_bench.bench.saved import picture
+        from econgs_bench.datasets.views import over
+
+        if self.model is not None:
+            return picture(self.model, camera, list(scenes), edits, background)
+        truth = self.truth(camera, scenes, edits, samples)
+        return over(truth, background), truth[..., 3]
+
+    def truth(self, camera: Camera, scenes: Sequence[str], edits: Edits, samples: int | None) -> Picture:
+        """The ground truth of a view, without a background; arguments as of :meth:`picture`."""
+        if self.drawer is None:
+            reason, remedy = "its ground truth is not at hand", "View a model of a run store, or a dataset"
+            raise DataError("this file", reason, remedy)
+        return self.drawer.draw(camera, scenes, edits, samples)
+
+
+class Source:
+    """Something to look at, opened when it is first asked for.
+
+    Args:
+        label: for people.
+        opener: opens it, or raises ``DataError``.
+    """
+
+    def __init__(self, label: str, opener: Callable[[], Opened]) -> None:
+        self.label = label
+        self._opener, self._lock, self._opened = opener, Lock(), None
+
+    _opened: Opened | None
+
+    def open(self) -> Opened:
+        """It, ready to be drawn.
+
+        Raises:
+            DataError: it is damaged, gone, or cannot be looked at.
+        """
+        with self._lock:
+            if self._opened is None:
+                start = time.perf_counter()
+                self._opened = self._opener()
+                self._opened.seconds = time.perf_counter() - start
+            return self._opened
+
+
+def camera_json(camera: Camera) -> dict[str, Any]:
+    """A camera as JSON values."""
+    return {
+        "matrix": camera.camera_to_world.ravel().tolist(),
+        "fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy,
+        "width": camera.width, "height": camera.height, "near": camera.near, "name": camera.name,
+    }  # fmt: skip
+
+
+# --------------------------------------------------------------------------- what a command line names
+
+
+def found(names: Sequence[str], runs: Path, plugins: Sequence[str], device: str) -> list[Source]:
+    """The sources that words name: jobs, folders of stores and models, exported files, datasets.
+
+    Args:
+        names: none: every model of the run store.
+        runs: the run store of jobs that are named.
+        plugins: folders of methods, of the command line.
+        device: of the models.
+
+    Raises:
+        DataError: a word names nothing that can be looked at.
+    """
+    sources: list[Source] = []
+    for name in names or [str(runs)]:
+        one = _named(name, runs, plugins, device)
+        if len(one) == 1:
+            one[0].open()  # what cannot be used is refused before a page opens
+        sources += one
+    return sources
+
+
+def _named(name: str, runs: Path, plugins: Sequence[str], device: str) -> list[Source]:
+    import re
+
+    from econgs_bench.bench.store.records import KINDS
+    from econgs_bench.bench.store.store import Store
+
+    path = Path(name).expanduser()
+    job = re.compile(f"({'|'.join(KINDS)})-[0-9a-f]{{16}}")
+    if job.fullmatch(name) and not path.exists():
+        return [_job(Store(runs), name, plugins, device)]
+    if path.is_dir():
+        path = path.resolve()
+        if (path / "store.json").is_file():
+            return _models(Store(path), plugins, device)
+        for folder in (path, path.parent):  # of a job, or the model in it
+            if job.fullmatch(folder.name) and (folder.parents[1] / "store.json").is_file():
+                return [_job(Store(folder.parents[1]), folder.name, plugins, device)]
+        try:
+            return [_dataset(name)]
+        except DataError:
+            return [Source(path.name, lambda: _folder(path, plugins, device))]
+    elif path == runs:
+        Store(runs)  # says what is wrong with it
+    if path.suffix.lower() in FILES and path.is_file():
+        return [Source(path.name, lambda: _file(path))]
+    if path.suffix.lower() == ".glb":
+        raise DataError(path, "glTF is written, not read", f"Export it as {', '.join(FILES)}")
+    return [_dataset(name)]
+
+
+def _models(store: Store, plugins: Sequence[str], device: str) -> list[Source]:
+    """Every model of a run store whose files are here."""
+    records = [
+        record
+        for record in store.records()
+        if record.job.kind == "encode" and record.ok and store.holds_files_of(record)
+    ]
+    if not records:
+        raise DataError(
+            store.root, "holds no finished model", "Run a suite into it: bench run quick --out DIR"
+        )
+    return [_job(store, record.job.id, plugins, device) for record in records]
+
+
+def _job(store: Store, job_id: str, plugins: Sequence[str], device: str) -> Source:
+    record = store.record(job_id)
+    label = job_id if record is None else record.job.title.removeprefix(f"{record.job.kind} ")
+    return Source(label, lambda: _of_job(store, job_id, plugins, device))
+
+
+def _of_job(store: Store, job_id: str, plugins: Sequence[str], device: str) -> Opened:
+    from econgs_bench.bench.run.plugins import plugin_folders
+    from econgs_bench.bench.saved import load, truth_of
+    from econgs_bench.methods.registry import Registry
+
+    loaded = store.record(job_id)
+    folders = plugin_folders(plugins, store.root)
+    method, scenes, size, model = load(store, job_id, folders, device)
+    spec = Registry(folders).spec(method)
+    names = [name for name in model.scenes if name in scenes] or list(model.scenes)
+    record, truth = truth_of(store, job_id, names[0])
+    if record.job.stress:
+        raise DataError(job_id, f"is a model under stress ({record.job.stress})", "View one without stress")
+    definitions = {name: truth_of(store, job_id, name)[1].scene() for name in names}
+    first = definitions[names[0]]
+    drawer: Drawer
+    if first.views_folder is None:
+        drawer = Marched(record.job.dataset, samples=record.job.request.samples)
+    else:
+        drawer = Stored(first.name, truth)
+    shown = scenes if loaded is not None and loaded.job.composition else ()
+    cameras = truth.cameras("test" if record.job.split == "test" else "val")
+    return Opened(
+        tuple(names), first.background, cameras, model, drawer, definitions,
+        frozenset(spec.edits), shown, size,
+    )  # fmt: skip
+
+
+def _folder(folder: Path, plugins: Sequence[str], device: str) -> Opened:
+    """A saved model without its store: the method that reads it is the one that wrote it."""
+    from econgs_bench.methods.registry import Registry, load_method
+
+    registry = Registry(plugins)
+    reasons = []
+    for name in registry.names():
+        spec = registry.spec(name)
+        try:
+            model = load_method(spec).load(folder, device)
+        except Exception as error:  # each method refuses the files of the others in its own words
+            reasons.append(f"{name}: {error}")
+            continue
+        size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+        cameras = _around(model, model.scenes)
+        return Opened(model.scenes, WHITE, cameras, model, edits=frozenset(spec.edits), size=size)
+    raise DataError(
+        folder, f"no method reads it ({reasons[0] if reasons else 'there is none'})", "Give a job"
+    )
+
+
+def _file(file: Path) -> Opened:
+    """An exported file, drawn as plain viewers draw it."""
+    from importlib import import_module
+
+    from econgs_bench.methods.formats.gaussians import scene_of
+    from econgs_bench.methods.gaussian_splatting.model import GaussianModel
+    from econgs_bench.methods.interface import Refused
+
+    module = import_module(f"econgs_bench.methods.formats.{file.suffix.lower().lstrip('.')}")
+    try:
+        model = GaussianModel([scene_of(module.read(file), file.stem, WHITE, 3)])
+    except Refused as error:
+        raise DataError(file, str(error), "Install it, or export another format") from error
+    cameras = _around(model, model.scenes)
+    return Opened(model.scenes, WHITE, cameras, model, edits=frozenset({"opacity"}), size=file.stat().st_size)
+
+
+def _around(model: Model, scenes: Sequence[str]) -> tuple[Camera, ...]:
+    """Cameras around the middle of a model's Gaussians, or around scene space."""
+    from econgs_bench.datasets.camera_paths import test_cameras
+    from econgs_bench.methods.interface import Splatted
+
+    centre, radius = np.zeros(3), 0.87
+    cameras = test_cameras(_VIEWS, radius, _SIZE, _SIZE)
+    if isinstance(model, Splatted) and (means := model.splatted(cameras[0], scenes).means.numpy()).size:
+        centre = np.median(means, axis=0).astype(np.float64)
+        radius = max(float(np.quantile(np.linalg.norm(means - centre, axis=1), 0.98)), 1e-6)
+    x, y, z = centre.tolist()
+    return test_cameras(_VIEWS, radius, _SIZE, _SIZE, (x, y, z))
+
+
+def _dataset(name: str) -> Source:
+    """The ground truth of a dataset; unknown names are refused at once."""
+    from econgs_bench.datasets.catalogue import open_dataset
+    from econgs_bench.datasets.render_views import cameras_of
+    from econgs_bench.datasets.views import ViewRequest
+
+    dataset = open_dataset(name)
+    if dataset.kind == "views":
+        raise DataError(name, "holds pictures, no volume", "View a model that was trained on it")
+
+    def opened() -> Opened:
+        request = ViewRequest("test", 12, _VIEWS, _SIZE, _SIZE)
+        scenes = tuple(scene.name for scene in dataset.scenes)
+        cameras = cameras_of(dataset, scenes[0], request)
+        definitions = {scene.name: scene for scene in dataset.scenes}
+        drawer = Marched(name, dataset, dataset.samples)
+        edits = {"palette", "opacity", "light", "shading", "transfer"}
+        if any(scene.light is None for scene in dataset.scenes):
+            edits -= {"light", "shading"}
+        background = dataset.scenes[0].background
+        return Opened(scenes, background, cameras, None, drawer, definitions, frozenset(edits))
+
+    return Source(f"{dataset.name} (ground truth)", opened)
