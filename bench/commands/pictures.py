@@ -22,6 +22,7 @@ from econgs_bench.bench.jobs.measure import premultiplied
 from econgs_bench.bench.run.plugins import plugin_folders
 from econgs_bench.bench.saved import load, picture
 from econgs_bench.bench.store.store import Store
+from econgs_bench.datasets.colors import hex_color
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.names import unknown
 from econgs_bench.reports.progress import step
@@ -169,6 +170,12 @@ def score_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("renders", metavar="RENDERS")
     parser.add_argument("truth", metavar="TRUTH")
     parser.add_argument("--format", choices=FORMATS, default="csv")
+    parser.add_argument(
+        "--background",
+        default="#ffffff",
+        metavar="#RRGGBB",
+        help="under alpha (default: #ffffff)",
+    )
 
 
 def score(options: Namespace) -> int:
@@ -176,6 +183,10 @@ def score(options: Namespace) -> int:
     from econgs_bench.bench.commands.results import print_as
     from econgs_bench.bench.metrics.folders import score as score_folders
 
+    try:
+        background = hex_color(options.background)
+    except ValueError as error:
+        raise DataError("--background", str(error), "Example: --background #000000") from error
     step("scoring")
-    print_as(score_folders(Path(options.renders), Path(options.truth)), options.format)
+    print_as(score_folders(Path(options.renders), Path(options.truth), background), options.format)
     return 0
