@@ -28,7 +28,7 @@ def load(
     """
     from econgs_bench.bench.jobs.measure import load_models
     from econgs_bench.bench.jobs.method import MethodJob
-    from econgs_bench.bench.jobs.supersampling import drawn_as
+    from econgs_bench.bench.jobs.supersampling import drawer_of, drawn_as
     from econgs_bench.bench.machine.device import prepare_device
     from econgs_bench.methods.interface import Refused
     from econgs_bench.methods.registry import Registry, load_method
@@ -51,7 +51,8 @@ def load(
     folders = [store.jobs / encode.job.id / "model" for encode in encodes if encode is not None]
     try:
         prepare_device(device, spec)
-        model = drawn_as(record.job, load_models(load_method(spec), folders, device))
+        loaded = drawer_of(record.job, load_models(load_method(spec), folders, device))
+        model = drawn_as(record.job, loaded)
     except Refused as error:
         raise DataError(job_id, str(error), "Render another model, or on another device") from error
     count = sum(file.stat().st_size for folder in folders for file in folder.rglob("*") if file.is_file())
