@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 import os
 import re
 import shutil
@@ -9,9 +10,10 @@ import stat
 import tempfile
 import uuid
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -20,7 +22,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from econgs_bench.datasets.camera import Camera
-from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.errors import DataError, printable
 from econgs_bench.datasets.names import unknown
 from econgs_bench.datasets.png import open_picture, read_png
 from econgs_bench.datasets.scene import RGB
@@ -53,7 +55,7 @@ class Work:
     """A folder for files under way: one in a job's folder, or a temporary one.
 
     Attributes:
-        path: the folder, which is removed with this object.
+        path: the folder, which is removed by :meth:`close`, or with this object.
     """
 
     def __init__(self, scratch: Path | None) -> None:
@@ -64,8 +66,11 @@ class Work:
             self.path = scratch / uuid.uuid4().hex[:8]
             self.path.mkdir()
 
-    def __del__(self) -> None:
+    def close(self) -> None:
+        """Remove the folder."""
         shutil.rmtree(self.path, ignore_errors=True)
+
+    __del__ = close
 
 
 class Programs:
@@ -101,6 +106,7 @@ class Programs:
             most_bytes=int(self.file.disk),
             device=device,
             heard=heard or (lambda line: None),
+            logged=self.scratch is not None,
         )
         self.last = usage
         return usage
@@ -119,6 +125,7 @@ class Programs:
                 cwd=self._code(),
                 variables=self._variables(device),
                 timeout=600.0,
+                logged=self.scratch is not None,
             )
 
     def _check_places(self, device: str) -> None:
@@ -291,10 +298,17 @@ class CommandModel:
         A frame that it times is one that its output tells by the pattern ``frame``.
         """
         self._check(scenes, edit)
+        background = self.frozen.background if background is None else background
+        with ExitStack() as stack:
+            work = stack.enter_context(closing(Work(self._programs.scratch)))
+            drawn = self._drawn(cameras, background, work)
+            stack.pop_all()  # they are read from there
+        return drawn
+
+    def _drawn(self, cameras: Sequence[Camera], background: RGB, work: Work) -> Pictures:
+        """Run the commands in a folder."""
         file, frozen, programs = self._programs.file, self.frozen, self._programs
         assert file.render is not None
-        background = frozen.background if background is None else background
-        work = Work(programs.scratch)
         folders = {name: work.path / name for name in ("model", "cameras", "pictures")}
         frozen.write(folders["model"])
         for name in ("cameras", "pictures"):
@@ -347,14 +361,14 @@ class GaussiansHere(SplatModel):
             DataError: there are none, several, or they cannot be read.
         """
         pattern, what = programs.file.model.gaussians, f"gaussians of {programs.path}"
-        names = [name for name in frozen.files if pattern and _matches(name, pattern)]
+        names = [name for name in frozen.files if pattern and _regex(pattern).fullmatch(name)]
         if len(names) != 1:
             reason = f"{len(names)} files of the model match {pattern}, not one"
             raise DataError(what, reason, "Name one file, which `files` of [model] has too")
-        work = Work(programs.scratch)
-        file = work.path / Path(names[0]).name
-        frozen.files[names[0]].tofile(file)
-        rows, degree = read_any(file)
+        with closing(Work(programs.scratch)) as work:
+            file = work.path / Path(names[0]).name
+            frozen.files[names[0]].tofile(file)
+            rows, degree = read_any(file)
         model = cls([SceneGaussians.from_rows(frozen.scene, frozen.background, degree, rows, device)])
         model.frozen = frozen
         return model
@@ -442,14 +456,37 @@ class CommandMethod:
         (scene,) = group
         if not len(scene.train):
             raise Refused("there are no training views")
-        programs, file = self._programs, self._programs.file
         if scene.name not in self._views:
             self.prepare(group, device)
-        work = self._views.pop(scene.name)
+        with closing(self._views.pop(scene.name)) as work:
+            frozen = self._trained(scene, asdict(options), budget, seed, device, monitor, work)
+        model = self._model(frozen, device)
+
+        def checkpoint() -> Checkpoint:
+            facts = {name: value for name, value in frozen.facts().items() if name != "files"}
+            arrays = {name: torch.from_numpy(content) for name, content in frozen.files.items()}
+            return Checkpoint(budget.iterations, arrays, facts)
+
+        monitor.progress(budget.iterations, {}, frozen.count)
+        if monitor.due(budget.iterations):
+            monitor.pause(budget.iterations, lambda: model, checkpoint)
+        return model
+
+    def _trained(
+        self,
+        scene: SceneInput,
+        chosen: Mapping[str, Any],
+        budget: Budget,
+        seed: int,
+        device: str,
+        monitor: Monitor,
+        work: Work,
+    ) -> Frozen:
+        """Run the command of training in a folder with views; the model's files."""
+        programs, file = self._programs, self._programs.file
         out = work.path / "out"
         out.mkdir()
         background = scene.train.background
-        chosen = asdict(options)
         values = {"views": str(work.path / "views"), "out": str(out), "scene": scene.name}
         values |= {"iterations": str(budget.iterations), "seed": str(seed)}
         values |= {"background": ",".join(f"{one:g}" for one in background)}
@@ -477,17 +514,7 @@ class CommandMethod:
         if file.model.gaussians is not None:  # an unusable one is a fault of the fit
             gaussians = GaussiansHere.of(frozen, programs, "cpu")
             frozen = replace(frozen, count=gaussians.primitives())
-        model = self._model(frozen, device)
-
-        def checkpoint() -> Checkpoint:
-            facts = {name: value for name, value in frozen.facts().items() if name != "files"}
-            arrays = {name: torch.from_numpy(content) for name, content in frozen.files.items()}
-            return Checkpoint(budget.iterations, arrays, facts)
-
-        monitor.progress(budget.iterations, {}, frozen.count)
-        if monitor.due(budget.iterations):
-            monitor.pause(budget.iterations, lambda: model, checkpoint)
-        return model
+        return frozen
 
     def restore(self, checkpoint: Checkpoint, options: Any, device: str) -> Model:
         """The model whose files a checkpoint holds."""
@@ -538,9 +565,34 @@ def _frame_seconds(match: re.Match[str]) -> float:
     return float("nan")
 
 
-def _matches(name: str, pattern: str) -> bool:
-    """Whether a path matches a pattern in which ``**`` stands for any folders."""
-    return any(Path(name).match(one) for one in {pattern, pattern.replace("**/", "")})
+def _regex(pattern: str) -> re.Pattern[str]:
+    """A glob of paths as an expression: ``*`` stays within a folder, ``**`` is any folders, or all files."""
+    *folders, last = PurePosixPath(pattern).parts
+    parts = ["(?:[^/]+/)*" if one == "**" else _within(one) + "/" for one in folders]
+    return re.compile("".join([*parts, ".+" if last == "**" else _within(last)]), re.DOTALL)
+
+
+def _within(part: str) -> str:
+    """A glob of one name as an expression."""
+    text = fnmatch.translate(part).replace(".*", "[^/]*").replace("(?s:.)", "[^/]")
+    return text.removesuffix("\\Z").removesuffix("\\z")
+
+
+def _matching(folder: Path, pattern: str) -> Iterator[Path]:
+    """What a glob matches below a folder, without folders; links are not followed.
+
+    A linked folder is one of them where something below it would match.
+    """
+    expression = _regex(pattern)
+    for root, folders, files in os.walk(folder):
+        for name in sorted([*files, *folders]):
+            path = Path(root, name)
+            text = path.relative_to(folder).as_posix()
+            linked = path.is_symlink() and name in folders
+            if (name in files and expression.fullmatch(text)) or (
+                linked and (expression.fullmatch(text) or expression.fullmatch(f"{text}/x"))
+            ):
+                yield path
 
 
 def frozen_files(
@@ -560,20 +612,16 @@ def frozen_files(
     remedy = "Correct `files` in its TOML file, or the program"
     names: dict[str, int] = {}
     for pattern in patterns:
-        any_file = False
-        for path in sorted(folder.glob(pattern)):
-            about = path.lstat()
-            above = [one for one in path.parents if folder in one.parents]
-            if stat.S_ISLNK(about.st_mode) or any(one.is_symlink() for one in above):
-                raise DataError(what, f"{path.relative_to(folder)} is a link", remedy)
-            if stat.S_ISDIR(about.st_mode):
-                continue
-            name = path.relative_to(folder).as_posix()
+        found = list(_matching(folder, pattern))
+        if not found:
+            raise DataError(what, f"training wrote no file {pattern}", remedy)
+        for path in found:
+            name, about = path.relative_to(folder).as_posix(), path.lstat()
+            if stat.S_ISLNK(about.st_mode):
+                raise DataError(what, f"{printable(name)} is a link", remedy)
             if not stat.S_ISREG(about.st_mode) or not name.isprintable():
                 raise DataError(what, f"{name!r} is no file of a model", remedy)
-            names[name], any_file = about.st_size, True
-        if not any_file:
-            raise DataError(what, f"training wrote no file {pattern}", remedy)
+            names[name] = about.st_size
     if len(names) > MOST_MODEL_FILES or sum(names.values()) > limit:
         total = sum(names.values()) / 2**20
         reason = (
@@ -594,7 +642,7 @@ def _pictures(folder: Path, glob: str, cameras: Sequence[Camera], what: str) -> 
     Raises:
         DataError: there are more or fewer, or one is a link, no picture, of another size or depth.
     """
-    found = [path for path in folder.glob(glob) if path.suffix.lower() in _PICTURES]
+    found = [path for path in _matching(folder, glob) if path.suffix.lower() in _PICTURES]
     if len(found) != len(cameras):
         raise DataError(
             what, f"drew {len(found)} pictures of {len(cameras)} ({glob})",
@@ -605,7 +653,7 @@ def _pictures(folder: Path, glob: str, cameras: Sequence[Camera], what: str) -> 
     )
     for path, camera in zip(found, cameras, strict=True):
         name = path.relative_to(folder)
-        if path.is_symlink() or not path.is_file() or folder.resolve() not in path.resolve().parents:
+        if path.is_symlink() or not path.is_file():
             raise DataError(what, f"the picture {name} is a link, or no file", "Write pictures")
         try:
             with open_picture(path) as image:

@@ -9,6 +9,7 @@ import selectors
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -73,8 +74,9 @@ def run(
     most_bytes: int = 0,
     device: str = "cpu",
     heard: Callable[[str], None] = lambda line: None,
+    logged: bool = True,
 ) -> Usage:
-    """Run a command to its end; its output goes to the standard output.
+    """Run a command to its end.
 
     Args:
         command: program and arguments.
@@ -86,6 +88,7 @@ def run(
         most_bytes: that the folder may hold.
         device: "cpu" or "cuda".
         heard: takes each line of its output. What it raises ends the command.
+        logged: print its output, as a job does for its log; else the last lines alone, where it fails.
 
     Raises:
         DataError: it cannot be started, or ends with another exit code than 0, for its time or for its files.
@@ -93,16 +96,16 @@ def run(
     """
     watch = _Watch(folder, most_bytes, device, what)
     tail: deque[str] = deque(maxlen=5)
-    logged = 0
+    room = LOG_BYTES if logged else 0
 
     def line(data: bytes, ended: bool) -> None:
-        nonlocal logged
+        nonlocal room
         text = printable(data.decode("utf-8", "replace").rstrip()).expandtabs()
         if text:
             tail.append(text)
-            if ended and logged < LOG_BYTES:  # a line that is drawn over and over is no log
-                logged += len(text) + 1
-                print(text if logged < LOG_BYTES else "bench: the rest of its output is not kept", flush=True)
+            if ended and room > 0:  # a line that is drawn over and over is no log
+                room -= len(text) + 1
+                print(text if room > 0 else "bench: the rest of its output is not kept", flush=True)
             heard(text)
 
     with _all_ended():
@@ -130,10 +133,12 @@ def run(
         usage = Usage(time.perf_counter() - start, watch.host_bytes, watch.device_bytes)
     if code != 0:
         how = f"exit code {code}" if code > 0 else signal.Signals(-code).name
+        if not logged:
+            print("\n".join(tail), file=sys.stderr)
         words = f"ended with {how}" + (f": {tail[-1][:300]}" if tail else ", without output")
         if any(_NO_MEMORY.search(one) for one in tail):
             raise MemoryError(f"{what} {words}")
-        raise DataError(what, words, "Its output is in the log of the job")
+        raise DataError(what, words, "Mend the command; its output is in the log of the job")
     return usage
 
 
