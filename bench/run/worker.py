@@ -75,7 +75,6 @@ def main(folder: Path) -> int:
             report(stage=task.job.kind, waiting=False)
             record = run(task, folder, store, stop, report)
         except Stopped:
-            shutil.rmtree(folder / SCRATCH, ignore_errors=True)
             return STOPPED
         if before is not None and before.ok and not record.ok:  # what is finished stays
             print(record.reason)
@@ -101,6 +100,7 @@ def _wait_for_turn(alone: bool, stack: ExitStack, report: Progress) -> None:
 def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) -> Record:
     """Run the job and return its record, of success or failure; only :class:`Stopped` is raised."""
     job = task.job
+    shutil.rmtree(folder / SCRATCH, ignore_errors=True)  # of an attempt that was killed
     started, start = now(), time.perf_counter()
     status: Status = "ok"
     reason: str | None = None

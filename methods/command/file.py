@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import keyword
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import make_dataclass
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
@@ -22,7 +23,8 @@ REMEDY = "Mend it: `bench new-method NAME --command` writes such a file, with a 
 GENERAL = ("python", "code", "device", "scene", "folder")
 """Placeholders of every command: those of ``[environment]``, the device, the scene, the file's own folder."""
 OF_TRAIN = ("views", "out", "iterations", "seed", "background")
-OF_RENDER = ("model", "cameras", "pictures", "background")
+OF_RENDER = ("model", "cameras", "pictures", "background", "iterations", "seed")
+OF_FILES = ("scene", "iterations", "seed")
 _PLACEHOLDER = re.compile(r"\{([A-Za-z_]\w*)\}")
 _UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
 
@@ -120,7 +122,10 @@ class Render(Step):
 
 
 class Model(_Part):
-    """The files that the model consists of, which count: all else is gone when views are drawn."""
+    """The files that the model consists of, which count: all else is gone when views are drawn.
+
+    Patterns may hold options, {iterations}, {seed} and {scene}.
+    """
 
     files: Annotated[list[Glob], Field(min_length=1)] = ["**"]
     limit: Size = 4 * 2**30
@@ -187,10 +192,14 @@ class CommandFile(_Part):
         if self.rate is not None and self.rate.option not in self.options:
             raise ValueError(f"[rate] names the option {self.rate.option!r}, which [options] lacks")
         environment = self.environment.check or []
+        for glob in (*self.model.files, self.model.gaussians or ""):
+            known = [*OF_FILES, *self.options]
+            if unknown := sorted(placeholders([glob]) - set(known)):
+                raise ValueError(f"[model] has the placeholder {{{unknown[0]}}}; known: {', '.join(known)}")
         for what, run, own, needed in (
             ("environment", environment, (), ()),
             ("train", self.train.run, OF_TRAIN, ("views", "out")),
-            ("load", self.load.run if self.load else [], OF_RENDER[:1], ()),
+            ("load", self.load.run if self.load else [], ("model", "iterations", "seed"), ()),
             ("render", self.render.run if self.render else [], OF_RENDER, ("model", "cameras")),
         ):
             options = [] if what == "environment" else list(self.options)
@@ -215,7 +224,7 @@ def placeholders(run: list[str]) -> set[str]:
     return {name for word in run for name in _PLACEHOLDER.findall(word)}
 
 
-def filled(run: list[str], values: dict[str, str]) -> list[str]:
+def filled(run: Sequence[str], values: Mapping[str, str]) -> list[str]:
     """A command with values in the place of its placeholders; other braces stay."""
     return [_PLACEHOLDER.sub(lambda match: values.get(match[1], match[0]), word) for word in run]
 
@@ -226,7 +235,8 @@ def read_file(path: Path) -> CommandFile:
     Raises:
         DataError: as :func:`.datasets.toml.read_toml`.
     """
-    keys = {key for part in (_Part, *_Part.__subclasses__(), Train, Render) for key in part.model_fields}
+    parts: list[type[BaseModel]] = [*_Part.__subclasses__(), *Step.__subclasses__()]
+    keys = {key for part in parts for key in part.model_fields}
     return read_toml(path, CommandFile, REMEDY, sorted(keys))
 
 

@@ -159,14 +159,14 @@ class Frozen:
         scene: its name.
         background: its recorded background.
         files: path below the model's folder -> content.
-        options: name -> value, for placeholders.
+        options: of the placeholders that training had, and drawing has too: name -> value.
         count: primitives that its program told; 0 where it told none.
     """
 
     scene: str
     background: RGB
     files: Mapping[str, NDArray[np.uint8]]
-    options: Mapping[str, Any]
+    options: Mapping[str, str]
     count: int
 
     def facts(self) -> dict[str, Any]:
@@ -217,7 +217,7 @@ class Frozen:
                 for path in sorted((folder / _FILES).rglob("*"))
                 if path.is_file()
             }
-            found = cls(str(about["scene"]), background, files, dict(about["options"]), count)
+            found = cls(str(about["scene"]), background, files, _texts(about["options"]), count)
             if found._sum() != about["files"]:
                 raise ValueError("the checksum of its files differs")
         except (OSError, ValueError, KeyError, TypeError) as error:
@@ -228,7 +228,7 @@ class Frozen:
     def _sum(self) -> str:
         total = 0
         for name, content in sorted(self.files.items()):
-            total = zlib.crc32(content, zlib.crc32(f"{name} {len(content)}\n".encode(), total))
+            total = zlib.crc32(content.data, zlib.crc32(f"{name} {len(content)}\n".encode(), total))
         return f"{total:08x}"
 
 
@@ -314,8 +314,8 @@ class CommandModel:
         for name in ("cameras", "pictures"):
             folders[name].mkdir()
         values = {name: str(folder) for name, folder in folders.items()}
-        values |= {name: str(value) for name, value in frozen.options.items()}
-        values |= {"scene": frozen.scene, "background": ",".join(f"{one:g}" for one in background)}
+        values |= dict(frozen.options)
+        values |= {"background": ",".join(f"{one:g}" for one in background)}
         loaded: process.Usage | None = None
         if file.load is not None:
             loaded = programs.run("load", file.load, values, self._device, work)
@@ -360,7 +360,8 @@ class GaussiansHere(SplatModel):
         Raises:
             DataError: there are none, several, or they cannot be read.
         """
-        pattern, what = programs.file.model.gaussians, f"gaussians of {programs.path}"
+        what = f"gaussians of {programs.path}"
+        (pattern,) = filled([programs.file.model.gaussians or ""], frozen.options)
         names = [name for name in frozen.files if pattern and _regex(pattern).fullmatch(name)]
         if len(names) != 1:
             reason = f"{len(names)} files of the model match {pattern}, not one"
@@ -487,10 +488,10 @@ class CommandMethod:
         out = work.path / "out"
         out.mkdir()
         background = scene.train.background
-        values = {"views": str(work.path / "views"), "out": str(out), "scene": scene.name}
-        values |= {"iterations": str(budget.iterations), "seed": str(seed)}
+        kept = {"iterations": str(budget.iterations), "seed": str(seed), "scene": scene.name}
+        kept |= {name: _written(value) for name, value in chosen.items()}
+        values = {"views": str(work.path / "views"), "out": str(out), **kept}
         values |= {"background": ",".join(f"{one:g}" for one in background)}
-        values |= {name: _written(value) for name, value in chosen.items()}
         pattern = re.compile(file.train.progress) if file.train.progress is not None else None
         count = 0
 
@@ -509,8 +510,9 @@ class CommandMethod:
 
         monitor.stage("train")
         programs.run("train", file.train, values, device, work, heard)
-        files = frozen_files(out, file.model.files, int(file.model.limit), f"[model] of {programs.path}")
-        frozen = Frozen(scene.name, background, files, {n: _written(v) for n, v in chosen.items()}, count)
+        patterns = filled(file.model.files, kept)
+        files = frozen_files(out, patterns, int(file.model.limit), f"[model] of {programs.path}")
+        frozen = Frozen(scene.name, background, files, kept, count)
         if file.model.gaussians is not None:  # an unusable one is a fault of the fit
             gaussians = GaussiansHere.of(frozen, programs, "cpu")
             frozen = replace(frozen, count=gaussians.primitives())
@@ -522,7 +524,7 @@ class CommandMethod:
         files = {name: content.numpy() for name, content in checkpoint.arrays.items()}
         background = triple(facts["background"])
         frozen = Frozen(
-            str(facts["scene"]), background, files, dict(facts["options"]), int(facts["primitives"])
+            str(facts["scene"]), background, files, _texts(facts["options"]), int(facts["primitives"])
         )
         return self._model(frozen, device)
 
@@ -546,6 +548,17 @@ class CommandMethod:
         if self._programs.file.render is None:
             return GaussiansHere.of(frozen, self._programs, device)
         return CommandModel(frozen, self._programs, device)
+
+
+def _texts(values: Any) -> dict[str, str]:
+    """A table of texts.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if not isinstance(values, dict) or not all(isinstance(one, str) for one in values.values()):
+        raise ValueError("options that are no texts")
+    return values
 
 
 def _written(value: Any) -> str:

@@ -60,7 +60,7 @@ def environment(device: str, variables: Mapping[str, str]) -> dict[str, str]:
         own["CUDA_VISIBLE_DEVICES"] = ""
     elif number:
         own["CUDA_VISIBLE_DEVICES"] = number
-    return own | variables
+    return own | dict(variables)
 
 
 def run(

@@ -58,8 +58,10 @@ def train(how, views, out, iterations, seed):
     loss = "nan" if how == "nan" else "0.5"
     for iteration in range(1, iterations + 1):
         print(f"it {iteration} loss {loss}", end="\r" if iteration % 2 else "\n", flush=True)
-    if how in ("hang", "slow"):
-        time.sleep(600 if how == "hang" else 3)
+    if how == "hang":
+        child = subprocess.Popen(["sleep", "600"], start_new_session=True)
+        Path(sys.argv[-1]).write_text(f"{os.getpid()} {child.pid}")
+        time.sleep(600)
     if how == "fail":
         sys.exit("no such kernel\n")
     if how == "memory":
