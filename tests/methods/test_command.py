@@ -267,3 +267,16 @@ def test_a_blind_scene_is_refused(plugin: Path) -> None:
     options = resolve(spec, "quick").options
     with pytest.raises(Refused):
         CommandMethod(spec.files[0]).fit([blind], options, Budget(1), 0, "cpu", Recorder())
+
+
+def test_a_package_may_offer_commands(plugin: Path, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    package = tmp_path / "offers_commands"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    lines = ["from econgs_bench.methods.command import command_spec"]
+    lines += [f"SPEC = command_spec({str(plugin / 'command.toml')!r})"]
+    (package / "spec.py").write_text("\n".join(lines) + "\n")
+    spec = Registry([package]).spec("program")
+    assert spec.files[0] == plugin / "command.toml"
+    assert isinstance(load_method(spec), CommandMethod)
