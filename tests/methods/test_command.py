@@ -13,6 +13,7 @@ import psutil
 import pytest
 import torch
 
+from econgs_bench import methods
 from econgs_bench.bench.machine.provenance import source_hash
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.methods.command import command_spec
@@ -25,6 +26,7 @@ from econgs_bench.methods.options import resolve
 from econgs_bench.methods.registry import Registry, load_method
 
 HERE = Path(__file__).parent / "commands"
+RECIPES = Path(methods.__path__[0]) / "command" / "recipes"
 SCENE = tiny_scene("tiny")
 CAMERAS = SCENE.train.cameras[:12]
 
@@ -280,3 +282,11 @@ def test_a_package_may_offer_commands(plugin: Path, tmp_path: Path, monkeypatch)
     spec = Registry([package]).spec("program")
     assert spec.files[0] == plugin / "command.toml"
     assert isinstance(load_method(spec), CommandMethod)
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in RECIPES.iterdir()))
+def test_recipes_are_sound_and_miss_their_environment_by_name(tmp_path: Path, name: str) -> None:
+    spec = Registry([RECIPES / name]).spec(command_spec(RECIPES / name / "command.toml").name)
+    assert spec.devices == ("cuda",)
+    with pytest.raises(DataError, match=r"the folder /path/to/.* is not there"):
+        CommandMethod(spec.files[0]).prepare([SCENE], "cuda")
