@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from econgs_bench.bench.store.store import Store
@@ -57,6 +57,30 @@ def load(
         raise DataError(job_id, str(error), "Render another model, or on another device") from error
     count = sum(file.stat().st_size for folder in folders for file in folder.rglob("*") if file.is_file())
     return spec.name, record.job.scenes, count, model
+
+
+def pictures(
+    model: Model,
+    cameras: Sequence[Camera],
+    scenes: list[str],
+    edit: Mapping[str, Edit],
+    background: RGB | None,
+) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32] | None]]:
+    """RGB and alpha of views; those that another program draws come from one process, perhaps without alpha.
+
+    Raises:
+        DataError: the method refuses the edit or the composition, or its program fails.
+    """
+    from econgs_bench.methods.interface import DrawsTogether, Refused
+
+    if not isinstance(model, DrawsTogether):
+        yield from (picture(model, camera, scenes, edit, background) for camera in cameras)
+        return
+    try:
+        drawn = model.draw_all(cameras, scenes, edit, background)
+    except Refused as error:
+        raise DataError("these pictures", str(error), "Leave out what this method refuses") from error
+    yield from (drawn[index] for index in range(len(cameras)))
 
 
 def picture(

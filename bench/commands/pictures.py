@@ -20,7 +20,7 @@ from econgs_bench.bench.commands.arguments import (
 )
 from econgs_bench.bench.jobs.measure import premultiplied
 from econgs_bench.bench.run.plugins import plugin_folders
-from econgs_bench.bench.saved import load, picture
+from econgs_bench.bench.saved import load, pictures
 from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.colors import hex_color
 from econgs_bench.datasets.errors import DataError
@@ -141,10 +141,12 @@ def _render(options: Namespace, dataset_name: str) -> None:
         if model is not None:
             background = dataset.parts(name)[0].background
             psnr = []
-            for index, camera in enumerate(cameras_of(dataset, name, request)):
-                step(f"drawing {name} of {options.model}", index, count)
-                rgb, alpha = picture(model, camera, scenes, edit, background)
-                write_png(folder / f"{index:04d}.png", premultiplied(rgb, alpha, background))
+            cameras = cameras_of(dataset, name, request)
+            step(f"drawing {name} of {options.model}", 0, count)
+            for index, (rgb, alpha) in enumerate(pictures(model, cameras, scenes, edit, background)):
+                step(f"drawing {name} of {options.model}", index + 1, count)
+                shown = rgb if alpha is None else premultiplied(rgb, alpha, background)
+                write_png(folder / f"{index:04d}.png", shown)
                 if truth is not None:
                     values, _ = evaluate(truth.images[index], rgb, alpha, background, ["psnr"])
                     psnr.append(float(values["psnr"] or 0.0))

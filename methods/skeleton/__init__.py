@@ -36,5 +36,5 @@ def command_files(name: str) -> dict[str, str]:
         name: the method's name, as on the command line.
     """
     folder = Path(__file__).parents[1] / "command" / "skeleton"
-    paths = [path for path in sorted(folder.iterdir()) if path.suffix in (".toml", ".py")]
+    paths = [*folder.glob("*.toml"), *(path for path in folder.glob("*.py") if path.stem != "__init__")]
     return {path.name: path.read_text(encoding="utf-8").replace("toy-commands", name) for path in paths}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 import tempfile
@@ -16,7 +17,7 @@ import torch
 from econgs_bench import methods
 from econgs_bench.bench.machine.provenance import source_hash
 from econgs_bench.datasets.errors import DataError
-from econgs_bench.methods.command import command_spec
+from econgs_bench.methods.command import command_spec, process
 from econgs_bench.methods.command.method import CommandMethod, CommandModel
 from econgs_bench.methods.contract.checks import Recorder, files_of
 from econgs_bench.methods.contract.scene import tiny_scene
@@ -290,3 +291,19 @@ def test_recipes_are_sound_and_miss_their_environment_by_name(tmp_path: Path, na
     assert spec.devices == ("cuda",)
     with pytest.raises(DataError, match=r"the folder /path/to/.* is not there"):
         CommandMethod(spec.files[0]).prepare([SCENE], "cuda")
+
+
+def test_memory_on_the_device_is_that_of_its_processes(tmp_path: Path, monkeypatch) -> None:
+    """By a stand-in for ``nvidia-smi`` that lists every process of this machine with 100 MiB."""
+    lister = tmp_path / "nvidia-smi"
+    lister.write_text('#!/bin/sh\nfor p in /proc/[0-9]*; do echo "${p#/proc/}, 100"; done\n')
+    lister.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    for device, expected in (("cuda:1", 200 * 2**20), ("cpu", None)):
+        variables = process.environment(device, {"OWN": "1"})
+        assert variables["CUDA_VISIBLE_DEVICES"] == ("1" if device == "cuda:1" else "")
+        usage = process.run(
+            ["sh", "-c", "sleep 2 & wait"], what="it", cwd=tmp_path, variables=variables, device=device
+        )
+        assert usage.device_bytes == expected
+        assert usage.seconds >= 2.0
