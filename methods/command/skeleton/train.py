@@ -24,7 +24,7 @@ def main(views, out, iterations, seed, count):
     cloud = cloud[generator.permutation(len(cloud))[:count]]
     points = np.stack([cloud[name] for name in "xyz"], axis=-1).astype(np.float64)
     colors = cloud["rgb"] / 255.0
-    sigma = 0.6 * ((np.ptp(points, axis=0) + 1e-3).prod() / len(points)) ** (1 / 3)
+    sigma = 0.25 * ((np.ptp(points, axis=0) + 1e-3).prod() / len(points)) ** (1 / 3)
     depth = np.full(len(points), 0.02)
     for iteration in range(1, iterations + 1):
         view = generator.integers(len(frames))
