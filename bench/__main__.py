@@ -45,6 +45,10 @@ COMMANDS = {
     "render": ("pictures:render", "write pictures: ground truth, or those of a finished model"),
     "view": ("view:view", "look at models and scenes in a browser: turn, edit, compare, beside the truth"),
     "export": ("export:export", "write a finished model of Gaussians as a file that viewers of splats open"),
+    "export-views": (
+        "export_views:export_views",
+        "write training views and test cameras as folders that other trainers load",
+    ),
     "samples": (
         "samples:samples",
         "what rays a pixel are worth: a scene with 1, 4, 16 ... rays against finer truth",

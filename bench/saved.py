@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from econgs_bench.bench.store.store import Store
@@ -30,7 +30,7 @@ def load(
     """
     from econgs_bench.bench.jobs.measure import load_models
     from econgs_bench.bench.jobs.method import MethodJob
-    from econgs_bench.bench.jobs.supersampling import drawn_as
+    from econgs_bench.bench.jobs.supersampling import drawer_of, drawn_as
     from econgs_bench.bench.machine.device import prepare_device
     from econgs_bench.methods.interface import Refused
     from econgs_bench.methods.registry import Registry, load_method
@@ -53,7 +53,8 @@ def load(
     folders = [store.jobs / encode.job.id / "model" for encode in encodes if encode is not None]
     try:
         prepare_device(device, spec)
-        model = drawn_as(record.job, load_models(load_method(spec), folders, device))
+        loaded = drawer_of(record.job, load_models(load_method(spec), folders, device))
+        model = drawn_as(record.job, loaded)
     except Refused as error:
         raise DataError(job_id, str(error), "Render another model, or on another device") from error
     count = sum(file.stat().st_size for folder in folders for file in folder.rglob("*") if file.is_file())
@@ -79,6 +80,30 @@ def truth_of(store: Store, job_id: str, scene: str) -> tuple[Record, Truth]:
             return record, Truth(store.jobs / job.id)
         waiting += job.needs
     raise DataError(job_id, f"the store lacks the training views of {scene}", "Use the store that it ran in")
+
+
+def pictures(
+    model: Model,
+    cameras: Sequence[Camera],
+    scenes: list[str],
+    edit: Mapping[str, Edit],
+    background: RGB | None,
+) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32] | None]]:
+    """RGB and alpha of views; those that another program draws come from one process, perhaps without alpha.
+
+    Raises:
+        DataError: the method refuses the edit or the composition, or its program fails.
+    """
+    from econgs_bench.methods.interface import DrawsTogether, Refused
+
+    if not isinstance(model, DrawsTogether):
+        yield from (picture(model, camera, scenes, edit, background) for camera in cameras)
+        return
+    try:
+        drawn = model.draw_all(cameras, scenes, edit, background)
+    except Refused as error:
+        raise DataError("these pictures", str(error), "Leave out what this method refuses") from error
+    yield from (drawn[index] for index in range(len(cameras)))
 
 
 def picture(

@@ -16,7 +16,9 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar, cast, runtime
 from econgs_bench.datasets.edits import Edit as Edit
 
 if TYPE_CHECKING:
+    import numpy as np
     import torch
+    from numpy.typing import NDArray
 
     from econgs_bench.datasets.camera import Camera
     from econgs_bench.datasets.cloud import PointCloud
@@ -146,6 +148,8 @@ class MethodSpec:
         implementation: "module:attribute" of the :class:`Method`.
         source: packages or modules whose hash goes into records; default: the top-level package of the
             implementation.
+        files: further files whose content goes into that hash. Where there are any, the implementation is
+            made with the first one as its argument.
         joint: trains several scenes of a dataset as one group.
         composable: models of several groups render together.
         edits: which parts of :class:`Edit` it honours.
@@ -153,6 +157,9 @@ class MethodSpec:
         volume_scenes: kinds of scenes that a method which reads the volume takes; it must refuse the others.
         point_sampled: draws what is at the centre of a pixel; ``--set name.samples=16`` draws the mean over
             16 points of it, the model being the same.
+        drawn_here: another program draws its Gaussians, and ``--set name.drawn=here`` draws them here; both
+            are rows of one fit.
+        resumable: an interrupted fit continues at a checkpoint; otherwise it begins anew.
         uses_alpha: how it uses the alpha of training views, for people.
         devices: "cpu", "cuda".
         iterations: preset name -> training iterations of one scene; every one of :data:`PRESETS`, at least. A
@@ -172,12 +179,15 @@ class MethodSpec:
     uses_alpha: str
     iterations: Mapping[str, int]
     source: tuple[str, ...] = ()
+    files: tuple[Path, ...] = ()
     joint: bool = False
     composable: bool = False
     edits: frozenset[Literal["palette", "opacity", "light", "shading", "transfer"]] = frozenset()
     needs_volume: bool = False
     volume_scenes: frozenset[Literal["transfer", "isosurfaces"]] = frozenset({"transfer", "isosurfaces"})
     point_sampled: bool = False
+    drawn_here: bool = False
+    resumable: bool = True
     devices: tuple[Literal["cpu", "cuda"], ...] = ("cpu", "cuda")
     options: type[Any] = NoOptions
     presets: Mapping[str, Mapping[str, OptionValue]] = field(default_factory=dict)
@@ -360,6 +370,76 @@ class Splatted(Protocol):
 
         Raises:
             Refused: an edit or a composition that the method cannot do.
+        """
+
+
+class DrawnViews(Protocol):
+    """Views that another program drew, all in one process.
+
+    Attributes:
+        frame_seconds: time of each frame that its output tells; empty if it tells none.
+        load_seconds: time of what it does before it draws, such as decoding; None without such a step.
+        peak_host_bytes, peak_device_bytes: of its processes; None where unknown.
+    """
+
+    frame_seconds: tuple[float, ...]
+    load_seconds: float | None
+    peak_host_bytes: int | None
+    peak_device_bytes: int | None
+
+    def __getitem__(self, index: int) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        """Colors (H, W, 3), composited on the background, and alpha (H, W); None if its picture has none."""
+
+
+@runtime_checkable
+class DrawsTogether(Protocol):
+    """A model that another program draws: its frames cannot be timed here, and a process draws many."""
+
+    def draw_all(
+        self,
+        cameras: Sequence[Camera],
+        scenes: Sequence[str] | None = None,
+        edit: Mapping[str, Edit] | None = None,
+        background: RGB | None = None,
+    ) -> DrawnViews:
+        """Draw views as :meth:`Model.render` does.
+
+        Raises:
+            Refused: an edit or a composition that the method cannot do.
+            DataError: the program failed, or a picture is missing or wrong.
+        """
+
+
+@runtime_checkable
+class DrawnHere(Protocol):
+    """A model whose Gaussians can be drawn by this program, too."""
+
+    def drawn_here(self) -> Model:
+        """The same model, drawn here.
+
+        Raises:
+            DataError: its Gaussians cannot be read.
+        """
+
+
+@runtime_checkable
+class RunsPrograms(Protocol):
+    """A method whose work other programs do.
+
+    Attributes:
+        scratch: folder for files under way, which is removed after the job; None: a temporary folder.
+        peak_host_bytes, peak_device_bytes: of the processes of the last program that ran; None before.
+    """
+
+    scratch: Path | None
+    peak_host_bytes: int | None
+    peak_device_bytes: int | None
+
+    def prepare(self, group: Sequence[SceneInput], device: str) -> None:
+        """Write what the program of the next fit reads; no training clock runs meanwhile.
+
+        Raises:
+            DataError: what the program needs is missing.
         """
 
 

@@ -24,6 +24,14 @@ SAMPLES = "samples"
 
 DRAWING = Option(1, "rays a pixel when a model is drawn: a square, as 1, 4, 9, 16", 1, 1024)
 
+DRAWN = "drawn"
+"""Settable like an option where a program draws Gaussians that can be drawn here too: "own" or "here"."""
+
+DRAWERS = Option("own", "who draws its Gaussians: its program, or this one", choices=("own", "here"))
+
+_DRAWING_ALONE = (SAMPLES, DRAWN)
+"""Settings that decide no fit."""
+
 CONFIGURATION = "configuration"
 """Settable like an option where a method has configurations: the name of one."""
 
@@ -38,7 +46,8 @@ class Settings:
     Attributes:
         options: an instance of the spec's dataclass of options.
         iterations: training iterations of a group of one scene.
-        overrides: options that differ from the preset's, with "iterations", "configuration" and "samples".
+        overrides: options that differ from the preset's, with "iterations", "configuration", "samples" and
+            "drawn".
         knob: the rate knob among them that needs a fit for each value; "" if there is none.
         samples: rays a pixel when the model is drawn; they decide no fit.
     """
@@ -52,7 +61,13 @@ class Settings:
     @property
     def fitted(self) -> Settings:
         """The settings of the fit alone."""
-        return replace(self, overrides={k: v for k, v in self.overrides.items() if k != SAMPLES}, samples=1)
+        kept = {name: value for name, value in self.overrides.items() if name not in _DRAWING_ALONE}
+        return replace(self, overrides=kept, samples=1)
+
+    @property
+    def drawing(self) -> dict[str, OptionValue]:
+        """The settings of the drawing alone, where they differ from the usual ones."""
+        return {name: self.overrides[name] for name in _DRAWING_ALONE if name in self.overrides}
 
     def budget(self, scenes: int, share: float = 1.0) -> int:
         """Training iterations of a group of that many scenes, or a share of them, at least one.
@@ -156,6 +171,9 @@ def resolve(spec: MethodSpec, preset: str, overrides: Mapping[str, OptionValue] 
                 raise DataError(f"option {spec.name}.{name} = {samples}", "is no square", f"Take {near}, say")
             if samples != 1:
                 changed[name] = samples
+        elif name == DRAWN and spec.drawn_here:
+            if check(spec.name, name, DRAWERS, text) != DRAWERS.default:
+                changed[name] = text
         elif name in declarations:
             value = check(spec.name, name, declarations[name], text)
             if value != options[name]:
@@ -164,6 +182,7 @@ def resolve(spec: MethodSpec, preset: str, overrides: Mapping[str, OptionValue] 
         else:
             names = [*declarations, ITERATIONS, *([CONFIGURATION] if spec.configurations else [])]
             names += [SAMPLES] if spec.point_sampled else []
+            names += [DRAWN] if spec.drawn_here else []
             raise unknown("option", name, names, of=f"method {spec.name}")
     knob = next((knob.name for knob in spec.rate_knobs if knob.refit and knob.name in changed), "")
     return Settings(spec.options(**options), iterations, changed, knob, int(changed.get(SAMPLES, 1)))

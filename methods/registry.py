@@ -22,12 +22,14 @@ from econgs_bench import methods
 from econgs_bench.datasets.errors import DataError, printable, text_of
 from econgs_bench.datasets.names import unknown
 from econgs_bench.methods.interface import PRESETS, MethodSpec
-from econgs_bench.methods.options import CONFIGURATION, ITERATIONS, SAMPLES, check, declared
+from econgs_bench.methods.options import CONFIGURATION, DRAWN, ITERATIONS, SAMPLES, check, declared
 
 if TYPE_CHECKING:
     from econgs_bench.methods.interface import Method
 
 GROUP = "econgs_bench.methods"
+COMMAND = "command.toml"
+"""File of a plugin that other programs carry out (:mod:`.methods.command`)."""
 BUILT_IN = "built in: econgs_bench.methods."
 """How the origins of the methods that come with the harness begin."""
 _SPEC = re.compile(rb"^(?:\xef\xbb\xbf)?SPEC\b\s*[:=]", re.MULTILINE)
@@ -49,7 +51,7 @@ class Registry:
     Args:
         plugin_folders: folders given by ``--plugins``. Each is a package with a ``SPEC`` (in
             ``__init__.py`` or ``spec.py``) or holds such packages and modules. They join
-            ``sys.path``, behind all that is there.
+            ``sys.path``, behind all that is there. A folder with ``command.toml`` is a method of commands.
         lenient: a plugin folder that cannot be used only lands in ``broken``, too.
 
     Raises:
@@ -155,7 +157,8 @@ def load_method(spec: MethodSpec) -> Method:
             f"its implementation {spec.implementation!r} cannot be imported ({text_of(error)})",
             _remedy(error, "Install what it needs, or correct the spec"),
         ) from error
-    return cast("Method", implementation() if isinstance(implementation, type) else implementation)
+    arguments = spec.files[:1]
+    return cast("Method", implementation(*arguments) if isinstance(implementation, type) else implementation)
 
 
 def _remedy(error: BaseException, otherwise: str) -> str:
@@ -229,6 +232,8 @@ def check_spec(spec: Any, origin: str) -> None:
         raise wrong(f"an option called {CONFIGURATION!r}", "Declare MethodSpec.configurations")
     if SAMPLES in options and spec.point_sampled:
         raise wrong(f"an option called {SAMPLES!r}", "Rename it: rays a pixel are settable as they are")
+    if DRAWN in options and spec.drawn_here:
+        raise wrong(f"an option called {DRAWN!r}", "Rename it: who draws is settable as it is")
     for name, option in options.items():
         check(spec.name, name, option, option.default)
         if option.search is not None:
@@ -280,15 +285,20 @@ def _in_folder(folder: Path) -> Iterator[_Candidate]:
     folder = folder.expanduser().resolve()
     if not folder.is_dir():
         raise DataError(folder, "not a folder", "Give --plugins the folder that holds the plugins")
+    if commands := [one for one in (folder, *sorted(folder.iterdir())) if (one / COMMAND).is_file()]:
+        yield from (_Candidate(None, f"commands: {one / COMMAND}", _command(one)) for one in commands)
+        if commands[0] == folder:
+            return
     if (folder / "__init__.py").is_file():
         root, candidates = folder.parent, [folder]
     else:
         root, candidates = folder, sorted(folder.iterdir())
     plugins = [(path, module) for path in candidates if (module := _spec_module(path)) is not None]
-    if not plugins:
-        raise DataError(
-            folder, "no method in it", "A plugin is a module, or a package with spec.py, that defines SPEC"
+    if not plugins and not commands:
+        remedy = (
+            f"A plugin is a module, or a package with spec.py, that defines SPEC; or a folder with {COMMAND}"
         )
+        raise DataError(folder, "no method in it", remedy)
     if str(root) not in sys.path:
         sys.path.append(str(root))
     for path, module in plugins:
@@ -302,6 +312,15 @@ def _in_folder(folder: Path) -> Iterator[_Candidate]:
                 "Rename the plugin; if it is this one, installed, leave out --plugins or uninstall it",
             )
         yield _Candidate(None, f"plugin folder: {path}", _spec_of(module))
+
+
+def _command(folder: Path) -> Callable[[], Any]:
+    def load() -> Any:
+        from econgs_bench.methods.command.file import command_spec
+
+        return command_spec(folder / COMMAND)
+
+    return load
 
 
 def _spec_module(path: Path) -> str | None:

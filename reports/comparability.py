@@ -419,6 +419,11 @@ class Place:
             return f"elsewhere: timed with {self.threads} threads, the others with {usual.threads}"
         if self.device != usual.device:
             return f"elsewhere: timed on {self.device}, the others on {usual.device}"
+        if 0 in (self.ruler, usual.ruler):
+            own, others = (
+                "its own program" if one == 0 else "the harness" for one in (self.ruler, usual.ruler)
+            )
+            return f"another clock: frames timed by {own}, the others by {others}"
         return f"another ruler: timed by version {self.ruler}, the others by version {usual.ruler}"
 
     @property

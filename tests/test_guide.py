@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from econgs_bench.methods.contract.checks import CHECKS
+from econgs_bench.methods.contract.checks import CHECKS, COMMAND_CHECKS
 
 PAGE = Path(__file__).parents[1] / "docs" / "guide" / "add-a-method.md"
 
@@ -55,7 +55,7 @@ def shell(tmp_path: Path) -> Shell:
 
 def test_a_new_method_keeps_the_contract_from_a_folder_and_installed(shell: Shell) -> None:
     output = "".join(shell(block) for block in _blocks() if "bench run" not in block)
-    assert len(re.findall(r"^passed ", output, re.M)) == 2 * len(CHECKS)
+    assert len(re.findall(r"^passed ", output, re.M)) == 2 * len(CHECKS) + len(COMMAND_CHECKS)
     (line,) = re.findall(r"^toy-blobs .*", output, re.M)
     assert "installed: toy-blobs 0.1.0" in line
 
@@ -65,3 +65,5 @@ def test_all_commands_of_the_page_run_in_turn(shell: Shell) -> None:
     output = "".join(map(shell, _blocks()))
     assert re.search(r"^cores +toy-blobs +\d+\.\d+ ", output, re.M), output
     assert "toy-blobs" in (shell.folder / "runs" / "report.html").read_text(encoding="utf-8")
+    page = (shell.folder / "both" / "report.html").read_text(encoding="utf-8")
+    assert all(name in page for name in ("toy-commands", "drawn=here", "ECoNGS-R"))

@@ -20,8 +20,9 @@ from econgs_bench.bench.commands.arguments import (
 )
 from econgs_bench.bench.jobs.measure import premultiplied
 from econgs_bench.bench.run.plugins import plugin_folders
-from econgs_bench.bench.saved import load, picture
+from econgs_bench.bench.saved import load, pictures
 from econgs_bench.bench.store.store import Store
+from econgs_bench.datasets.colors import hex_color
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.names import unknown
 from econgs_bench.reports.progress import step
@@ -140,10 +141,12 @@ def _render(options: Namespace, dataset_name: str) -> None:
         if model is not None:
             background = dataset.parts(name)[0].background
             psnr = []
-            for index, camera in enumerate(cameras_of(dataset, name, request)):
-                step(f"drawing {name} of {options.model}", index, count)
-                rgb, alpha = picture(model, camera, scenes, edit, background)
-                write_png(folder / f"{index:04d}.png", premultiplied(rgb, alpha, background))
+            cameras = cameras_of(dataset, name, request)
+            step(f"drawing {name} of {options.model}", 0, count)
+            for index, (rgb, alpha) in enumerate(pictures(model, cameras, scenes, edit, background)):
+                step(f"drawing {name} of {options.model}", index + 1, count)
+                shown = rgb if alpha is None else premultiplied(rgb, alpha, background)
+                write_png(folder / f"{index:04d}.png", shown)
                 if truth is not None:
                     values, _ = evaluate(truth.images[index], rgb, alpha, background, ["psnr"])
                     psnr.append(float(values["psnr"] or 0.0))
@@ -169,6 +172,12 @@ def score_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("renders", metavar="RENDERS")
     parser.add_argument("truth", metavar="TRUTH")
     parser.add_argument("--format", choices=FORMATS, default="csv")
+    parser.add_argument(
+        "--background",
+        default="#ffffff",
+        metavar="#RRGGBB",
+        help="under alpha (default: #ffffff)",
+    )
 
 
 def score(options: Namespace) -> int:
@@ -176,6 +185,10 @@ def score(options: Namespace) -> int:
     from econgs_bench.bench.commands.results import print_as
     from econgs_bench.bench.metrics.folders import score as score_folders
 
+    try:
+        background = hex_color(options.background)
+    except ValueError as error:
+        raise DataError("--background", str(error), "Example: --background #000000") from error
     step("scoring")
-    print_as(score_folders(Path(options.renders), Path(options.truth)), options.format)
+    print_as(score_folders(Path(options.renders), Path(options.truth), background), options.format)
     return 0

@@ -12,8 +12,10 @@ from econgs_bench.bench.jobs.monitor import Progress, Stop
 from econgs_bench.bench.jobs.truth import Truth
 from econgs_bench.bench.store.records import Job, Record
 from econgs_bench.bench.store.store import Store
-from econgs_bench.methods.interface import Method, MethodSpec
+from econgs_bench.methods.interface import Method, MethodSpec, RunsPrograms
 from econgs_bench.methods.registry import load_method
+
+SCRATCH = "scratch"
 
 
 @dataclass
@@ -38,10 +40,17 @@ class Context:
     peak_host_bytes: int | None = None
     peak_device_bytes: int | None = None
 
+    @property
+    def scratch(self) -> Path:
+        """Folder for files under way, which is removed with the job's end."""
+        return self.folder / SCRATCH
+
     def method(self) -> Method:
         """The implementation of the method; torch, if it imports that, gets the job's threads."""
         assert self.spec is not None
         method = load_method(self.spec)
+        if isinstance(method, RunsPrograms):
+            method.scratch = self.scratch
         if "torch" in sys.modules:
             sys.modules["torch"].set_num_threads(self.threads)
         return method

@@ -111,9 +111,9 @@ def _costs(record: Record) -> Row:
         | {name: getattr(cost, name) for name in same}
         | {
             "variables": ";".join(cost.variables),
-            "ms_per_view": 1e3 * cost.frame_seconds,
-            "ms_p05": 1e3 * cost.frame_seconds_p05,
-            "ms_p95": 1e3 * cost.frame_seconds_p95,
-            "fps": 1.0 / cost.frame_seconds,
+            "ms_per_view": 1e3 * (cost.frame_seconds or 0.0),
+            "ms_p05": 1e3 * (cost.frame_seconds_p05 or 0.0),
+            "ms_p95": 1e3 * (cost.frame_seconds_p95 or 0.0),
+            "fps": cost.rates()["fps"],
         }
     )

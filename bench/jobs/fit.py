@@ -19,7 +19,7 @@ from econgs_bench.bench.store.records import Count, CurvePoint, LossPoint, Recor
 from econgs_bench.bench.suites.stress import stress_of
 from econgs_bench.datasets.units import views_in_units
 from econgs_bench.datasets.views import ViewSet, evenly_spaced
-from econgs_bench.methods.interface import Budget, MethodSpec, Refused, SceneInput
+from econgs_bench.methods.interface import Budget, MethodSpec, Refused, RunsPrograms, SceneInput
 
 CURVE_VIEWS = 4
 """Number of views of each scene for anytime evaluations."""
@@ -75,13 +75,19 @@ class Fit(TrainingJob):
         read_volumes(context.spec, scenes)
         assert self.iterations is not None
         together = sum(scene.train.images.nbytes for scene in scenes)
-        views = {scene.name: _curve_views(self, context, scene.name, together) for scene in scenes}
+        spec = context.spec
+        assert spec is not None
+        # A model that another program draws is drawn once it is saved.
+        curved = scenes if spec.resumable else []
+        views = {scene.name: _curve_views(self, context, scene.name, together) for scene in curved}
         monitor = FitMonitor(
             context.folder / "checkpoint", self.iterations, views, context.report, context.stop
         )
         resume = monitor.resume()
+        if isinstance(method, RunsPrograms) and resume is None:
+            method.prepare(scenes, self.device)
         before = reference_seconds()
-        context.stop.deferred = True
+        context.stop.deferred = spec.resumable
         monitor.start()
         if resume is not None and resume.iteration == self.iterations:  # stopped after its last iteration
             model = method.restore(resume, context.options(self), self.device)
@@ -93,6 +99,11 @@ class Fit(TrainingJob):
         monitor.stop()
         context.stop.deferred = False
         after = reference_seconds()
+        if isinstance(method, RunsPrograms):
+            context.peak_host_bytes, context.peak_device_bytes = (
+                method.peak_host_bytes,
+                method.peak_device_bytes,
+            )
         if not monitor.final:
             raise RuntimeError(
                 f"{self.method} ended its fit without a checkpoint at iteration {self.iterations}: "

@@ -21,16 +21,18 @@ from econgs_bench.bench.jobs.context import Context
 from econgs_bench.bench.jobs.costs import costs, fit_row, memory
 from econgs_bench.bench.jobs.encode import Encode
 from econgs_bench.bench.jobs.method import ModelJob
-from econgs_bench.bench.jobs.supersampling import drawn_as
+from econgs_bench.bench.jobs.supersampling import drawer_of, drawn_as
 from econgs_bench.bench.jobs.truth import renderer_of, sketch
 from econgs_bench.bench.jobs.views import Views, ViewsResult
 from econgs_bench.bench.machine.timing import (
+    BY_PROGRAM,
     MEASURE_SECONDS,
     RULERS,
     median_timings,
     peak_device_bytes,
     synchronise,
     time_frames,
+    told_frames,
 )
 from econgs_bench.bench.store.lineage import Lineage
 from econgs_bench.bench.store.records import (
@@ -49,8 +51,16 @@ from econgs_bench.datasets.hashes import hash_of
 from econgs_bench.datasets.memory import peak_host_bytes
 from econgs_bench.datasets.units import camera_in_units
 from econgs_bench.datasets.views import evenly_spaced
-from econgs_bench.methods.interface import HasAttributes, HasDecoders, HasGaussians, Method, Model, Refused
-from econgs_bench.methods.options import SAMPLES, Settings
+from econgs_bench.methods.interface import (
+    DrawsTogether,
+    HasAttributes,
+    HasDecoders,
+    HasGaussians,
+    Method,
+    Model,
+    Refused,
+)
+from econgs_bench.methods.options import Settings
 from econgs_bench.reports.schema import COVERAGE, METRICS
 
 DECODING_SECONDS = 0.5
@@ -192,9 +202,9 @@ class Measure(ModelJob):
 
     def drawn(self, settings: Settings) -> Self:
         """This measurement by the settings that decide drawing alone."""
-        if settings.samples == 1:
+        if not settings.drawing:
             return self
-        identity = {**self.identity, SAMPLES: settings.samples}
+        identity = {**self.identity, **settings.drawing}
         update = {"identity": identity, "key": hash_of(identity)}
         return self.model_copy(update=update | {"variant": settings.variant, "overrides": settings.overrides})
 
@@ -241,7 +251,8 @@ class Measure(ModelJob):
 
         context.report(stage="load")
         start = time.perf_counter()
-        model = load_models(method, [context.path_of(encode) / "model" for encode in encodes], self.device)
+        folders = [context.path_of(encode) / "model" for encode in encodes]
+        model = drawer_of(self, load_models(method, folders, self.device))
         synchronise(self.device)
         load_seconds, load_host_bytes = time.perf_counter() - start, peak_host_bytes()
         if absent := [scene for scene in scenes if scene not in model.scenes]:
@@ -258,27 +269,40 @@ class Measure(ModelJob):
                 seconds,
             )
 
-        frames, drawing = timed(model), drawn_as(self, model)
-        parts = median_timings(
-            lambda camera: returned.timings(drawing.timings(camera, scenes=scenes)), cameras
-        )
-        context.peak_host_bytes, context.peak_device_bytes = peak_host_bytes(), peak_device_bytes(self.device)
+        drawing = drawn_as(self, model)
+        own = None
+        if isinstance(drawing, DrawsTogether):
+            own = drawing.draw_all(cameras, scenes, edit, background)
+        if own is not None:
+            frames, parts = told_frames(own.frame_seconds), {}
+            load_seconds += own.load_seconds or 0.0
+            context.peak_host_bytes, context.peak_device_bytes = own.peak_host_bytes, own.peak_device_bytes
+            load_host_bytes = None
+        else:
+            frames = timed(model)
+            parts = median_timings(
+                lambda camera: returned.timings(drawing.timings(camera, scenes=scenes)), cameras
+            )
+            context.peak_host_bytes = peak_host_bytes()
+            context.peak_device_bytes = peak_device_bytes(self.device)
         decoding, decoded_seconds = _decoding(
             model, scenes, lambda each_frame: timed(each_frame, DECODING_SECONDS).frame_seconds
         )
 
         context.report(stage="metrics")
 
-        def draw(camera: Camera) -> tuple[NDArray[Any], NDArray[Any]]:
-            answer = drawing.render(camera, scenes=scenes, edit=edit, background=background)
-            return returned.picture(answer, camera)
+        def draw(index: int) -> tuple[NDArray[Any], NDArray[Any] | None]:
+            if own is not None:
+                return own[index]
+            answer = drawing.render(cameras[index], scenes=scenes, edit=edit, background=background)
+            return returned.picture(answer, cameras[index])
 
         views = truth.views(self.split)
         return MeasureResult(
             load_seconds=load_seconds,
             load_host_bytes=load_host_bytes,
             **frames.model_dump(),
-            timing={"frame": frames.frame_seconds, **parts},
+            timing=parts if frames.frame_seconds is None else {"frame": frames.frame_seconds, **parts},
             decoding=decoding,
             frame_seconds_decoding=decoded_seconds,
             parts_ruler=RULERS["parts"],
@@ -292,7 +316,7 @@ class Measure(ModelJob):
         )
 
     def _scores(
-        self, context: Context, draw: Callable[[Camera], Any], cameras: Sequence[Camera], views: ViewSet
+        self, context: Context, draw: Callable[[int], Any], cameras: Sequence[Camera], views: ViewSet
     ) -> dict[str, Any]:
         """Metrics of all views and their means, as fields of the result; the pictures are stored."""
         from econgs_bench.bench.metrics import evaluate, mean
@@ -310,14 +334,14 @@ class Measure(ModelJob):
         metrics = list(dict.fromkeys([*self.metrics, *COVERAGE]))
         flicker = Flicker() if is_dense(cameras) else None
         for index, camera in enumerate(cameras):
-            rgb, alpha = draw(camera)
+            rgb, alpha = draw(index)
             values, reasons = evaluate(views.images[index], rgb, alpha, background, metrics)
             missing.update(reasons)
             shown, displayed = to_8bit(views.composited(index)), to_8bit(rgb)
             if flicker is not None:
                 flicker.add(shown, displayed)
             file = f"{index:04d}.png"
-            write_png(out / file, premultiplied(rgb, alpha, background))
+            write_png(out / file, rgb if alpha is None else premultiplied(rgb, alpha, background))
             rows.append(
                 ViewResult(
                     view=camera.name or f"{index:04d}",
@@ -360,7 +384,7 @@ class Measure(ModelJob):
 
 
 def _decoding(
-    model: Model, scenes: Sequence[str], frame_seconds: Callable[[Model], float]
+    model: Model, scenes: Sequence[str], frame_seconds: Callable[[Model], float | None]
 ) -> tuple[Literal["", "once", "per frame"], float | None]:
     """When the networks of a model run; if once, the seconds of a frame in which they run too."""
     if not isinstance(model, HasDecoders):
@@ -458,12 +482,13 @@ def _measured(measured: MeasureResult) -> Row:
         row["reason"] = "; ".join(f"{name}: {why}" for name, why in sorted(measured.missing.items()))
         row["omissions"] = json.dumps(measured.missing, sort_keys=True)
     return row | {
-        "primitives": measured.primitives,
+        # Another program need not tell how many it has.
+        "primitives": None
+        if measured.ruler == BY_PROGRAM and not measured.primitives
+        else measured.primitives,
         "load_seconds": measured.load_seconds,
         "load_host_bytes": measured.load_host_bytes,
-        "fps": 1.0 / measured.frame_seconds,
-        "fps_p05": 1.0 / measured.frame_seconds_p95,
-        "fps_p95": 1.0 / measured.frame_seconds_p05,
+        **measured.rates(),
         "decoding": measured.decoding,
         "fps_decoding": measured.frame_seconds_decoding and 1.0 / measured.frame_seconds_decoding,
         "ruler": measured.ruler,

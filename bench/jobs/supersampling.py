@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from econgs_bench.bench.machine.timing import synchronise
-from econgs_bench.methods.options import SAMPLES
+from econgs_bench.methods.interface import DrawnHere
+from econgs_bench.methods.options import DRAWN, SAMPLES
 
 if TYPE_CHECKING:
     from econgs_bench.bench.jobs.method import MethodJob
@@ -17,6 +18,17 @@ if TYPE_CHECKING:
     from econgs_bench.datasets.edits import Edit
     from econgs_bench.datasets.scene import RGB
     from econgs_bench.methods.interface import Model
+
+
+def drawer_of(job: MethodJob, model: Model) -> Model:
+    """A loaded model, or its Gaussians drawn here where its own program draws it otherwise.
+
+    Raises:
+        DataError: its Gaussians cannot be read.
+    """
+    return (
+        model.drawn_here() if job.overrides.get(DRAWN) == "here" and isinstance(model, DrawnHere) else model
+    )
 
 
 def drawn_as(job: MethodJob, model: Model) -> Model:

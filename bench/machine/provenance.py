@@ -46,7 +46,8 @@ def provenance(threads: int, spec: MethodSpec | None, device: str) -> Provenance
 
 
 def source_hash(spec: MethodSpec) -> str | None:
-    """Hash of the Python source of the modules that ``spec.source`` names, found without running them.
+    """Hash of the Python source of the modules that ``spec.source`` names, found without running them, and of
+    ``spec.files``.
 
     Returns:
         None where a source is gone.
@@ -55,6 +56,8 @@ def source_hash(spec: MethodSpec) -> str | None:
     try:
         for module in sorted(spec.source):
             digest.update(_module_hash(module).encode())
+        for file in spec.files:
+            digest.update(file.name.encode() + b"\0" + hashlib.sha256(file.read_bytes()).digest())
     except OSError:
         return None
     return digest.hexdigest()[:16]

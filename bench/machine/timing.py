@@ -34,6 +34,8 @@ frame: 1: warm-up and timed passes on the same cameras, the kernel before and af
 the kernel runs amid the frames too. parts: 1 (until 2026-11-28, 09:25:51 UTC): one pass over nine cameras;
 2: whole passes for a tenth of a second, without garbage collection; 3: no camera comes twice.
 """
+BY_PROGRAM = 0
+"""Ruler of frames that another program drew and timed."""
 AMID_SECONDS = 0.25
 """Seconds of timed frames after which the reference kernel runs."""
 _AMID_FRAMES = 5
@@ -188,6 +190,21 @@ def time_frames(
         reference_seconds=mean_of(before, after),
         reference_worst=worst_of([before, *amid, after]),
         ruler=RULERS["frame"],
+    )
+
+
+def told_frames(times: Sequence[float]) -> FrameTimes:
+    """Seconds of frames by the program that drew them; those not finite and positive are left out."""
+    known = [one for one in times if math.isfinite(one) and one > 0.0]
+    p05, median, p95 = np.percentile(known, [5, 50, 95]).tolist() if known else (None, None, None)
+    return FrameTimes(
+        frame_seconds=median,
+        frame_seconds_p05=p05,
+        frame_seconds_p95=p95,
+        frames=len(known),
+        warmup_stable=False,
+        reference_seconds=reference_seconds(),
+        ruler=BY_PROGRAM,
     )
 
 

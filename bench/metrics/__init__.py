@@ -75,7 +75,7 @@ class Scores(NamedTuple):
 def evaluate(
     truth: NDArray[np.float32],
     rgb: NDArray[np.float32],
-    alpha: NDArray[np.float32],
+    alpha: NDArray[np.float32] | None,
     background: Sequence[float],
     names: Sequence[str] | None = None,
 ) -> Scores:
@@ -86,7 +86,7 @@ def evaluate(
     Args:
         truth: (height, width, 4) RGBA in [0, 1], premultiplied, background-free.
         rgb: (height, width, 3) rendered image, composited on ``background``.
-        alpha: (height, width) rendered alpha in [0, 1].
+        alpha: (height, width) rendered alpha in [0, 1]; None: that of a picture without any.
         background: RGB in [0, 1].
         names: metrics to compute; all of :data:`METRICS` if None.
 

@@ -35,26 +35,28 @@ class Pair:
     def composite(
         truth: NDArray[np.float32],
         rgb: NDArray[np.float32],
-        alpha: NDArray[np.float32],
+        alpha: NDArray[np.float32] | None,
         background: Sequence[float],
     ) -> Pair:
         """From background-free truth and composited render; see :func:`.bench.metrics.evaluate`."""
         height_width = truth.shape[:2]
         if truth.ndim != 3 or truth.shape[2] != 4:
             raise ValueError(f"truth must be (height, width, 4), not {truth.shape}")
-        if rgb.shape != (*height_width, 3) or alpha.shape != height_width:
-            raise ValueError(
-                f"render {rgb.shape} with alpha {alpha.shape} does not match truth {truth.shape}"
-            )
+        if rgb.shape != (*height_width, 3) or (alpha is not None and alpha.shape != height_width):
+            shape = None if alpha is None else alpha.shape
+            raise ValueError(f"render {rgb.shape} with alpha {shape} does not match truth {truth.shape}")
         if 0 in height_width:
             raise ValueError("images have no pixels")
         for what, values in (("truth", truth), ("render", rgb), ("alpha", alpha)):
-            if not np.isfinite(values).all():
+            if values is not None and not np.isfinite(values).all():
                 raise ValueError(f"{what} holds values that are not finite")
         # By the same arithmetic as models and the harness: a perfect render must come out identical.
         color = over(truth, (background[0], background[1], background[2]))
-        foreground = (truth[..., 3] >= _FOREGROUND) | (alpha >= _FOREGROUND)
-        return Pair(to_8bit(color), to_8bit(rgb), foreground, (to_8bit(truth[..., 3]), to_8bit(alpha)))
+        foreground = truth[..., 3] >= _FOREGROUND
+        if alpha is None:
+            return Pair(to_8bit(color), to_8bit(rgb), foreground)
+        alphas = to_8bit(truth[..., 3]), to_8bit(alpha)
+        return Pair(to_8bit(color), to_8bit(rgb), foreground | (alpha >= _FOREGROUND), alphas)
 
     @property
     def identical(self) -> bool:

@@ -31,7 +31,7 @@ from econgs_bench.datasets.edits import changes_transfer
 from econgs_bench.datasets.names import unknown
 from econgs_bench.datasets.unseen import recipe
 from econgs_bench.methods.interface import CLOUD_POINTS, MethodSpec
-from econgs_bench.methods.options import ITERATIONS, SAMPLES, Settings, resolve
+from econgs_bench.methods.options import DRAWN, ITERATIONS, SAMPLES, Settings, resolve
 from econgs_bench.methods.registry import Registry
 from econgs_bench.reports import schema
 
@@ -139,6 +139,8 @@ class Planner:
                 if SAMPLES in own and curve[0][0].samples != 1:
                     del curve[1:]  # a suite's second drawing, of models that the first one has
                 choices = [*curve, *self._with_lengths(spec, overrides)]
+                if spec.drawn_here and DRAWN not in overrides:  # who draws is told apart: two rows of a fit
+                    choices.append((resolve(spec, self._like, {**overrides, DRAWN: "here"}), [None]))
                 for settings, rates in choices:
                     if (spec.name, settings.variant) not in variants:
                         variants.add((spec.name, settings.variant))

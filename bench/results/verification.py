@@ -19,7 +19,7 @@ from econgs_bench.bench.jobs.encode import EncodeResult
 from econgs_bench.bench.jobs.fit import Fit, FitResult
 from econgs_bench.bench.jobs.measure import Measure, MeasureResult
 from econgs_bench.bench.jobs.views import ViewsResult
-from econgs_bench.bench.machine.timing import MEASURE_FRAMES, MEASURE_SECONDS
+from econgs_bench.bench.machine.timing import BY_PROGRAM, MEASURE_FRAMES, MEASURE_SECONDS
 from econgs_bench.bench.metrics import METRICS
 from econgs_bench.bench.metrics.image import IDENTICAL_DB, SSIM_WINDOW
 from econgs_bench.bench.store.lineage import Lineage
@@ -357,9 +357,12 @@ def frames(record: Record, evidence: Evidence) -> Iterator[str]:
     frames take a second, of which those beyond the 95th percentile have a part alone.
     """
     times = record.of(FrameTimes)
-    if times is None:
+    if times is None or times.ruler == BY_PROGRAM:
         return
     low, median, high = times.frame_seconds_p05, times.frame_seconds, times.frame_seconds_p95
+    if low is None or median is None or high is None:
+        yield "frames without times"
+        return
     if not 0.0 < low <= median <= high:
         yield f"frames of {low:.6g} s (5th percentile), {median:.6g} s (median), {high:.6g} s (95th)"
     least = 0.45 * times.frames * (median + low)

@@ -25,6 +25,8 @@ from typing import IO
 
 import psutil
 
+from econgs_bench.datasets import orphans
+
 MODULES = ("torch", "scipy.spatial", "econgs_bench.bench.run.worker", "econgs_bench.bench.machine.provenance")
 """What every job with torch imports, so that a fork takes no more memory than an interpreter of its own."""
 SERVER = "econgs_bench.bench.run.processes"
@@ -32,7 +34,6 @@ _POLL_SECONDS = 0.02
 _LAST_SECONDS = 0.5
 _SWEEPS = 20
 """A leftover may have forked while it was killed."""
-_SET_CHILD_SUBREAPER, _GET_CHILD_SUBREAPER = 36, 37  # linux/prctl.h
 
 
 class Fork:
@@ -137,11 +138,8 @@ class Processes:
     def adopting(self) -> Iterator[None]:
         """For as long as this lasts, orphans of workers become children of this process (on Linux)."""
         self._before = {child.pid for child in psutil.Process().children(recursive=True)}
-        previous = _adopt_orphans(1)
-        try:
+        with orphans.adopting():
             yield
-        finally:
-            _adopt_orphans(previous)
 
     def end_leftovers(self) -> list[str]:
         """Kill what a worker that has ended left running: names and process ids, for people.
@@ -177,16 +175,6 @@ class Processes:
             self.server.kill()
             self.server.wait()
             self.server = self._connection = None
-
-
-def _adopt_orphans(value: int) -> int:
-    """Set whether orphans of descendants become children of this process; returns what was set before."""
-    if sys.platform != "linux":
-        return 0
-    library, previous = ctypes.CDLL(None), ctypes.c_int()
-    library.prctl(_GET_CHILD_SUBREAPER, ctypes.byref(previous), 0, 0, 0)
-    library.prctl(_SET_CHILD_SUBREAPER, value, 0, 0, 0)
-    return previous.value
 
 
 def _session(pid: int) -> int | None:

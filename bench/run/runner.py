@@ -12,6 +12,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any, Self
 
+from econgs_bench.bench.jobs.context import SCRATCH
 from econgs_bench.bench.jobs.method import MethodJob
 from econgs_bench.bench.machine.provenance import imports_torch
 from econgs_bench.bench.run.limits import Limit, memory_reason, time_reason, used_memory
@@ -165,6 +166,7 @@ class Runner:
         finally:
             if process.poll() is None:
                 _kill(process)
+            shutil.rmtree(folder / SCRATCH, ignore_errors=True)
             # Before the next job: what is left may take its time.
             if names := self._processes.end_leftovers():
                 self._log(job, f"ended what the job left behind: {', '.join(names)}")

@@ -15,12 +15,14 @@ import sys
 import threading
 import time
 import traceback
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
+import psutil
 from pydantic import ValidationError
 
+from econgs_bench.bench.jobs.context import SCRATCH
 from econgs_bench.bench.jobs.method import MethodJob
 from econgs_bench.bench.jobs.monitor import Progress, Stop, Stopped
 from econgs_bench.bench.machine.device import prepare_device
@@ -98,6 +100,7 @@ def _wait_for_turn(alone: bool, stack: ExitStack, report: Progress) -> None:
 def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) -> Record:
     """Run the job and return its record, of success or failure; only :class:`Stopped` is raised."""
     job = task.job
+    shutil.rmtree(folder / SCRATCH, ignore_errors=True)  # of an attempt that was killed
     started, start = now(), time.perf_counter()
     status: Status = "ok"
     reason: str | None = None
@@ -127,6 +130,8 @@ def run(task: Task, folder: Path, store: Store, stop: Stop, report: Progress) ->
         if spec is not None and (place := failure(error, spec).place):
             reason = f"{reason} ({place})"
     stop.deferred = True  # the job is finished: its record must be written
+    if context is not None:
+        shutil.rmtree(context.scratch, ignore_errors=True)
     from econgs_bench.bench.machine.provenance import provenance
 
     record = Record(
@@ -172,6 +177,9 @@ def _follow(stop: Stop, lease: Lease) -> None:
         if stop.deferred:
             stop.requested.set()
             time.sleep(GRACE_SECONDS)
+        for child in psutil.Process().children(recursive=True):  # programs lead groups of their own
+            with suppress(psutil.Error):
+                child.kill()
         if os.getpgrp() == os.getpid():
             os.killpg(0, signal.SIGKILL)  # with all that the method started
         os._exit(STOPPED)

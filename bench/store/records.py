@@ -347,24 +347,34 @@ class FrameTimes(Result):
 
     Attributes:
         frame_seconds, frame_seconds_p05, frame_seconds_p95: median and percentiles over all timed frames (at
-            least one per camera), after warm-up.
+            least one per camera), after warm-up; None where another program draws and does not tell.
         warmup_frames: their number; None in older records of dvr.
         warmup_stable: whether frame times had settled when warm-up ended.
         reference_seconds: mean of the reference kernel's times before and after; None without native core.
         reference_worst: the longest of its times before, amid and after the timed frames; None in older
             records.
-        ruler: version of how frames are timed (:data:`.bench.machine.timing.RULERS`).
+        ruler: version of how frames are timed (:data:`.bench.machine.timing.RULERS`); 0: by the program that
+            draws them.
     """
 
-    frame_seconds: float
-    frame_seconds_p05: float
-    frame_seconds_p95: float
+    frame_seconds: float | None
+    frame_seconds_p05: float | None
+    frame_seconds_p95: float | None
     frames: Count
     warmup_frames: Count | None = None
     warmup_stable: bool
     reference_seconds: float | None
     reference_worst: float | None = None
     ruler: Count | None = None
+
+    def rates(self) -> dict[str, float | None]:
+        """Frames a second, as columns of the tables."""
+        seconds = {
+            "fps": self.frame_seconds,
+            "fps_p05": self.frame_seconds_p95,
+            "fps_p95": self.frame_seconds_p05,
+        }
+        return {name: None if one is None else 1.0 / one for name, one in seconds.items()}
 
 
 class ViewResult(_Model):

@@ -36,6 +36,8 @@ from econgs_bench.methods.interface import (
     Budget,
     Checkpoint,
     Decoding,
+    DrawnHere,
+    DrawsTogether,
     Edit,
     HasDecoders,
     HasGaussians,
@@ -44,6 +46,7 @@ from econgs_bench.methods.interface import (
     Model,
     OptionValue,
     Refused,
+    RunsPrograms,
     SceneInput,
     check_ledger,
 )
@@ -628,6 +631,63 @@ def refusals(subject: Subject) -> str:
     return f"{', '.join(unfit) or 'nothing'} refused; one point and one view trained"
 
 
+def environment(subject: Subject) -> str:
+    """What the commands need is there."""
+    method = subject.method
+    expect(isinstance(method, RunsPrograms), "it runs no programs")
+    if isinstance(method, RunsPrograms):
+        method.prepare([subject.scene], subject.device)
+    return "interpreter, folder and check"
+
+
+def trained(subject: Subject) -> str:
+    """Training ends with 0, tells its iterations and leaves the files of a model."""
+    model, recorder = subject.first()
+    expect(model.scenes == ("tiny",), f"the model holds {model.scenes}")
+    expect(np.isfinite(recorder.losses).all(), "a loss is not finite")
+    expect(subject.iterations in recorder.checkpoints, "there is no model after the last iteration")
+    arrays = recorder.checkpoints[subject.iterations].arrays
+    told = f", loss {recorder.losses[0]:.3g} to {recorder.losses[-1]:.3g}" if recorder.losses else ""
+    seen = len(set(recorder.iterations) - {subject.iterations})
+    return f"{len(arrays)} files of {sum(map(len, arrays.values()))} bytes, {seen} iterations seen{told}"
+
+
+def pictures(subject: Subject) -> str:
+    """One process draws a picture of each camera, on the background if without alpha; they show the scene."""
+    model, _ = subject.first()
+    train = subject.scene.train
+    chosen = range(0, len(train), max(1, len(train) // 4))
+    views = [train.cameras[place] for place in chosen]
+    if not isinstance(model, DrawsTogether):
+        return "drawn here"
+    drawn = model.draw_all(views, background=train.background)
+    errors, blank, has_alpha = [], [], True
+    for index, place in enumerate(chosen):
+        rgb, alpha = drawn[index]
+        has_alpha &= alpha is not None
+        truth = train.composited(place)
+        errors.append(float(np.square(rgb - truth).mean()))
+        blank.append(float(np.square(np.asarray(train.background) - truth).mean()))
+    expect(np.mean(errors) < np.mean(blank), "training views are farther from the truth than a blank picture")
+    frames = f", {1e3 * float(np.median(drawn.frame_seconds)):.3g} ms a frame" if drawn.frame_seconds else ""
+    psnr = -10.0 * math.log10(max(float(np.mean(errors)), 1e-12))
+    kind = "RGBA" if has_alpha else "without alpha"
+    return f"{len(views)} {kind}, {psnr:.1f} dB{frames}"
+
+
+def gaussians(subject: Subject) -> str:
+    """Where it writes Gaussians, they can be drawn here."""
+    model, _ = subject.first()
+    if not subject.spec.drawn_here or not isinstance(model, DrawnHere):
+        return "none"
+    here = model.drawn_here()
+    rgb, alpha = _picture(here, subject.camera)
+    expect(bool(torch.isfinite(rgb).all() and torch.isfinite(alpha).all()), "drawn here, a picture has NaN")
+    own, _ = _picture(model, subject.camera)
+    far = -10.0 * math.log10(max(float((rgb - own).square().mean()), 1e-12))
+    return f"{here.primitives()} Gaussians, {far:.1f} dB between both drawings"
+
+
 CHECKS: tuple[Callable[[Subject], str], ...] = (
     specification,
     partition,
@@ -646,6 +706,22 @@ CHECKS: tuple[Callable[[Subject], str], ...] = (
     bad_files,
     refusals,
 )
+
+
+COMMAND_CHECKS: tuple[Callable[[Subject], str], ...] = (
+    specification,
+    environment,
+    partition,
+    trained,
+    pictures,
+    saved_and_loaded,
+    gaussians,
+    edits,
+    restored,
+    composition,
+    rates,
+)
+"""Those of a method that other programs carry out: how these train and draw is their own."""
 
 
 @dataclass(frozen=True)
@@ -673,7 +749,7 @@ class Outcome:
 
 def run_checks(subject: Subject) -> Iterator[Outcome]:
     """Every check in turn; none stops the others."""
-    for check in CHECKS:
+    for check in CHECKS if subject.spec.resumable else COMMAND_CHECKS:
         start = time.perf_counter()
         status: Literal["passed", "failed", "error"] = "passed"
         fault: Failure | None = None

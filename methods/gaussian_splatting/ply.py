@@ -89,6 +89,34 @@ def read_ply(path: Path, parts: Parts = PARTS) -> NDArray[np.float32]:
     return rows
 
 
+def read_any(path: Path) -> tuple[NDArray[np.float32], int]:
+    """The (N, 62) values of a PLY of another trainer, and its degree of spherical harmonics.
+
+    Normals may be missing, and coefficients beyond its degree, which become zeros.
+
+    Raises:
+        DataError: as :func:`read_ply`.
+    """
+    try:
+        with path.open("rb") as file:
+            names = _parse_header(path, file.read(_MAX_HEADER), ("x", "y", "z", "opacity"))[1]
+    except OSError as error:
+        raise DataError(path, f"cannot be read ({error.strerror})", "Check the path") from error
+    count = sum(name.startswith("f_rest_") for name in names)
+    if count not in (degrees := {0: 0, 9: 1, 24: 2, 45: 3}):
+        raise DataError(path, f"has {count} coefficients f_rest", f"Write {', '.join(map(str, degrees))}")
+    parts = {part: columns for part, columns in PARTS.items() if part != "normals"}
+    parts["sh_rest"] = PARTS["sh_rest"][:count]
+    rows = read_ply(path, {part: columns for part, columns in parts.items() if columns})
+    whole = np.zeros((len(rows), len(properties(PARTS))), np.float32)
+    if count:  # channel after channel
+        rest = rows[:, 6 : 6 + count].reshape(len(rows), 3, count // 3)
+        padded = np.pad(rest, ((0, 0), (0, 0), (0, 15 - count // 3)))
+        whole[:, _places(PARTS, "f_rest_")] = padded.reshape(len(rows), 45)
+    whole[:, :3], whole[:, 6:9], whole[:, 54:] = rows[:, :3], rows[:, 3:6], rows[:, 6 + count :]
+    return whole, degrees[count]
+
+
 def no_turn(quats: NDArray[np.float32]) -> bool:
     """Whether one of (N, 4) quaternions cannot be brought to length 1 (torch.nn.functional.normalize)."""
     largest = np.abs(quats).max(axis=1)

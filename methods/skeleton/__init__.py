@@ -27,3 +27,14 @@ def files(name: str, package: str) -> dict[str, str]:
         renamed(path.relative_to(folder).as_posix()): renamed(path.read_text(encoding="utf-8"))
         for path in sorted(paths)
     }
+
+
+def command_files(name: str) -> dict[str, str]:
+    """The files of a new method of commands: file name -> content.
+
+    Args:
+        name: the method's name, as on the command line.
+    """
+    folder = Path(__file__).parents[1] / "command" / "skeleton"
+    paths = [*folder.glob("*.toml"), *(path for path in folder.glob("*.py") if path.stem != "__init__")]
+    return {path.name: path.read_text(encoding="utf-8").replace("toy-commands", name) for path in paths}

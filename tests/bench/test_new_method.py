@@ -56,3 +56,15 @@ def test_nothing_is_written_over(tmp_path, capsys) -> None:
     assert main(["new-method", "mine", "--out", str(tmp_path)]) == 2
     assert "exists already" in capsys.readouterr().err
     assert [path.name for path in tmp_path.rglob("*")] == ["mine", "work.py"]
+
+
+def test_a_method_of_commands_bears_its_name(tmp_path, capsys) -> None:
+    assert main(["new-method", "my-program", "--command", "--out", str(tmp_path)]) == 0
+    folder = tmp_path / "my_program"
+    assert f"--plugins {folder}" in capsys.readouterr().out
+    assert {path.name for path in folder.iterdir()} == {"command.toml", "blobs.py", "train.py", "render.py"}
+    spec = Registry([folder]).spec("my-program")
+    assert spec.drawn_here
+    assert [path.name for path in spec.files] == ["command.toml", "blobs.py", "render.py", "train.py"]
+    assert main(["new-method", "json", "--command", "--out", str(tmp_path)]) == 0  # no module of Python's
+    assert main(["new-method", "econgs", "--command", "--out", str(tmp_path)]) == 2

@@ -26,8 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from econgs_bench.bench.commands.export import truth_of
-from econgs_bench.bench.saved import load, picture
+from econgs_bench.bench.saved import load, picture, truth_of
 from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.camera import Camera
 
@@ -103,7 +102,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     store = Store(options.runs)
     _, scenes, _, model = load(store, options.job, {}, "cpu")
     scene = options.scene or scenes[0]
-    truth, _ = truth_of(store, options.job, scene)
+    _, truth = truth_of(store, options.job, scene)
     background = truth.scene().background
     tests = truth.cameras("test")
     chosen = tests[:: max(1, len(tests) // options.views)][: options.views]
