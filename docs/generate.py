@@ -321,6 +321,7 @@ def _stale(results: pd.DataFrame) -> str:
         changes = sorted(set(stale.loc[stale["method"] == method, "changes"]))
         each = dict.fromkeys(change for one in changes for change in one.split(", "))
         short = ", ".join(each) if len(each) < 3 else f"{len(each)} changes"
+        short = re.sub(r"^version (\S+) \(today \S+\)$", r"v\1", short)
         parts.append(f"{TITLES.get(method, method)} {short}")
     return f"stale: {'; '.join(parts)}" if parts else ""
 
