@@ -89,7 +89,7 @@ def test_the_first_breaks_on_ladders(generate, monkeypatch) -> None:
         {"method": "econgs", "ladder": "x", "place": place, "rungs": 2, "purpose": "y"} for place in (0, 1)
     ]
     result = {"method": "3dgs", "kind": "basic", "variant": "", "preset": "quick", "width": 8, "height": 8,
-              "train_views": 4, "seed": 0, "fit_processor": "P"}  # fmt: skip
+              "train_views": 4, "seed": 0, "fit_processor": "P", "status": "ok"}  # fmt: skip
     tables = {name: frame(name) for name in TABLES}
     tables |= {"rungs": rungs(*rows), "results": frame("results", [result])}
     monkeypatch.setattr(generate, "tables", lambda bundles: tables)
