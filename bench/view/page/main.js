@@ -89,8 +89,8 @@ async function loop() {
       present();
       await painter.finished();
       const took = performance.now() - start;
+      if (!frames++) continue; // the first one waits for the Gaussians
       share = Math.min(1, Math.max(LEAST_SHARE, share * Math.min(1.15, Math.max(0.7, Math.sqrt(GOAL / took)))));
-      ++frames;
       facts(1000 / took);
       continue;
     }
