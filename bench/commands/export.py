@@ -1,4 +1,4 @@
-"""``bench export``: a finished model of Gaussians as a file that viewers of splats open."""
+"""``bench export``: a finished model of Gaussians as a file that viewers of splats, or browsers, open."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from econgs_bench.methods.gaussian_splatting.model import SceneGaussians
     from econgs_bench.methods.interface import Model
 
-FORMATS = ("ply", "spz", "sog", "glb")
+FORMATS = ("ply", "spz", "sog", "glb", "html")
 SIZES = (1, 2, 4)
 """Multiples of the size of test views at which pictures are compared."""
 _MEASURED, _ENLARGED = 8, 4
@@ -40,9 +40,9 @@ def export_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("model", metavar="JOB", help="an encode or measure job of --runs")
     parser.add_argument("--out", required=True, metavar="FILE", help="the file to write")
     parser.add_argument(
-        "--format", choices=("ply", "spz", "sog", "glb"), help="default: as the suffix of --out says"
+        "--format", choices=("ply", "spz", "sog", "glb", "html"), help="default: as the suffix of --out says"
     )
-    parser.add_argument("--scene", help="which, if the model holds several")
+    parser.add_argument("--scene", help="which, if the model holds several (default of html: all)")
     parser.add_argument(
         "--viewer", choices=("antialiased", "plain"),
         help="viewers that shrink opacities to compensate for their filter of 0.3 px², or that do not "
@@ -61,6 +61,8 @@ def export(options: Namespace) -> int:
     from econgs_bench.methods.baking.bake import VIEWERS
 
     file, name = Path(options.out), _format(options)
+    if name == "html":
+        return _page(file, options)
     store = Store(Path(options.runs))
     folders = plugin_folders(options.plugins, store.root)
     step(f"loading {options.model}")
@@ -108,7 +110,63 @@ def _format(options: Namespace) -> str:
         raise DataError(
             options.out, f"--spz-version of the format {name}", "Leave it out, or give --format spz"
         )
+    if options.viewer and name == "html":
+        raise DataError(
+            options.out, "--viewer of the format html, which draws as the model does", "Leave it out"
+        )
     return name
+
+
+def _page(file: Path, options: Namespace) -> int:
+    """Write a page for browsers, and say how near it comes to the model in test views of the run store."""
+    import numpy as np
+
+    from econgs_bench.bench.jobs.measure import premultiplied
+    from econgs_bench.bench.metrics import evaluate
+    from econgs_bench.bench.view.sent import part, sent
+    from econgs_bench.bench.view.sources import of_job, title_of
+
+    store = Store(Path(options.runs))
+    step(f"loading {options.model}")
+    opened = of_job(store, options.model, options.plugins, options.device)
+    model = opened.model
+    assert model is not None
+    if options.scene and options.scene not in opened.scenes:
+        raise unknown("scene", options.scene, opened.scenes, of="this model")
+    scenes = (options.scene,) if options.scene else opened.scenes
+    parts, tested = [], {}
+    for scene in scenes:
+        step(f"reading the Gaussians of {scene}")
+        record, truth = truth_of(store, options.model, scene)
+        split: Split = "train" if record.job.split == "val" else "trainval"
+        parts.append(part(opened, scene, truth.cameras(split), truth.scene().background))
+        count = len(truth.cameras("test"))
+        tested[scene] = truth.views("test", range(0, count, max(1, -(-count // _MEASURED))))
+    step(f"writing {file}")
+    page = sent(opened, title_of(store, options.model), parts)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    whole = file.with_name(f".{file.name}.part")
+    try:
+        whole.write_text(page.text, encoding="utf-8", newline="\n")
+        whole.replace(file)
+    finally:
+        whole.unlink(missing_ok=True)
+    print(f"PSNR [dB] in up to {_MEASURED} test views; the page at 16 bits, drawn here")
+    print(f"{'model, truth':>12} {'page, truth':>12} {'page, model':>12}")
+    for scene, views in tested.items():
+        rows: list[list[float]] = []
+        for camera, image in zip(views.cameras, views.images, strict=True):
+            step(f"measuring {scene}", len(rows), len(views.cameras))
+            own, shown = (picture(one, camera, [scene], {}, views.background) for one in (model, page.model))
+            pairs = ((image, own), (image, shown), (premultiplied(*own, views.background), shown))
+            rows.append([
+                float(evaluate(target, *drawn, views.background, ["psnr"]).values["psnr"] or 0.0)
+                for target, drawn in pairs
+            ])  # fmt: skip
+        print(" ".join(f"{value:12.2f}" for value in np.mean(rows, axis=0)), f" {scene}")
+    size = file.stat().st_size
+    print(f"{file}: {size:,} bytes, {size / page.half:.2f} times the Gaussians at 16 bits ({page.half:,})")
+    return 0
 
 
 def _scene(options: Namespace, scenes: Sequence[str], model: Model) -> str:

@@ -342,12 +342,21 @@ def _models(store: Store, plugins: Sequence[str], device: str) -> list[Source]:
 
 
 def _job(store: Store, job_id: str, plugins: Sequence[str], device: str) -> Source:
+    return Source(title_of(store, job_id), lambda: of_job(store, job_id, plugins, device))
+
+
+def title_of(store: Store, job_id: str) -> str:
+    """What people call the model of a job."""
     record = store.record(job_id)
-    label = job_id if record is None else record.job.title.removeprefix(f"{record.job.kind} ")
-    return Source(label, lambda: _of_job(store, job_id, plugins, device))
+    return job_id if record is None else record.job.title.removeprefix(f"{record.job.kind} ")
 
 
-def _of_job(store: Store, job_id: str, plugins: Sequence[str], device: str) -> Opened:
+def of_job(store: Store, job_id: str, plugins: Sequence[str], device: str) -> Opened:
+    """The model of a finished encode or measure job, with its test views as bookmarks.
+
+    Raises:
+        DataError: there is no such job, or it cannot be loaded.
+    """
     from econgs_bench.bench.run.plugins import plugin_folders
     from econgs_bench.bench.saved import load, truth_of
     from econgs_bench.methods.registry import Registry

@@ -31,6 +31,7 @@ VIEWERS = {"antialiased": LowPass(compensated=True), "plain": LINEAGE}
 MOST_VIEWS = 64
 """Views that a fit of colors looks at, spread evenly over those given."""
 _RIDGE = 1e-4  # share of a Gaussian's summed weights
+_FAINTEST = 2e-4  # least opacity where depth along a ray may make a Gaussian darker
 _AT_ONCE = 1 << 13  # Gaussians whose colors are solved for together
 _OUTSIDE = 0.15  # share of the image's sides by which a middle may lie outside
 
@@ -56,10 +57,10 @@ def baked(
     scene: str,
     cameras: Sequence[Camera],
     background: RGB,
-    viewer: LowPass = VIEWERS["antialiased"],
+    viewer: LowPass | None = VIEWERS["antialiased"],
     degree: int = 3,
 ) -> SceneGaussians:
-    """Plain Gaussians of a scene, fitted to what cameras see of it.
+    """Plain Gaussians of a scene, fitted to what cameras see of it, in scene units.
 
     - Scales: geometric mean, quaternions: mean after aligning signs, both weighted by opacity. The scene's
       own smoothing is added.
@@ -73,12 +74,24 @@ def baked(
         scene: name of its scene.
         cameras: of the training views.
         background: the scene's.
-        viewer: how the Gaussians will be drawn.
+        viewer: how the Gaussians will be drawn; None: as the model draws them, so that opacities are its own.
         degree: of spherical harmonics.
 
     Raises:
         DataError: no camera sees any Gaussian.
     """
+    return baked_rows(model, scene, cameras, background, viewer, degree)[0]
+
+
+def baked_rows(
+    model: HasGaussians,
+    scene: str,
+    cameras: Sequence[Camera],
+    background: RGB,
+    viewer: LowPass | None,
+    degree: int = 3,
+) -> tuple[SceneGaussians, Tensor]:
+    """As :func:`baked`, and (N,) the numbers of its Gaussians in the model."""
     step = max(1, -(-len(cameras) // MOST_VIEWS))
     chosen = list(cameras)[::step]
     with torch.inference_mode():
@@ -99,7 +112,8 @@ def baked(
             "sh_rest": full[:, 1:].clone(),
         }
     # Copies, because tensors of inference mode take part in no gradient.
-    return SceneGaussians(scene, background, degree, **{name: one.clone() for name, one in values.items()})
+    values = {name: one.clone() for name, one in values.items()}
+    return SceneGaussians(scene, background, degree, **values), rows
 
 
 @dataclass(frozen=True)
@@ -201,7 +215,9 @@ def _mean_shapes(views: _Views) -> _Shapes | None:
     return _Shapes(totals["means"] / weight, quats, (totals["logs"] / weight).exp(), seen)
 
 
-def _mean_looks(views: _Views, shape: _Shapes, viewer: LowPass, degree: int) -> tuple[Tensor, Tensor, Tensor]:
+def _mean_looks(
+    views: _Views, shape: _Shapes, viewer: LowPass | None, degree: int
+) -> tuple[Tensor, Tensor, Tensor]:
     """(N,) logits, (N, K, 3) coefficients, and which Gaussians are dark enough to be drawn."""
     count = len(shape.means)
     depths, areas = torch.zeros(count), torch.zeros(count)
@@ -210,15 +226,19 @@ def _mean_looks(views: _Views, shape: _Shapes, viewer: LowPass, degree: int) -> 
     def add(view: _View) -> None:
         rows = (view.inside & shape.seen[view.numbers]).nonzero()[:, 0]
         numbers = view.numbers[rows]
+        drawn_by = viewer or view.splats.low_pass
         # Where both compensate their filters, masses are in proportion at all sizes.
-        constant = viewer.compensated and view.splats.low_pass.compensated
-        for factor in (1,) if constant else sizes(viewer):
+        constant = viewer is None or (viewer.compensated and view.splats.low_pass.compensated)
+        for factor in (1,) if constant else sizes(drawn_by):
             camera = enlarged(view.camera, factor)
-            plain = project(shape.means, shape.quats, shape.scales, camera, None, viewer)
+            plain = project(shape.means, shape.quats, shape.scales, camera, None, drawn_by)
             area = plain.det.clamp_min(1e-20).sqrt()
             if plain.share is not None:
                 area = area * plain.share.clamp_min(1e-6)
-            opacity = (view.masses(factor)[rows] / area[numbers]).clamp(0.0, MAX_ALPHA)
+            if viewer is None:
+                opacity = view.splats.opacities[rows].clamp(max=1.0)
+            else:
+                opacity = (view.masses(factor)[rows] / area[numbers]).clamp(0.0, MAX_ALPHA)
             area = torch.where(_inside(plain, camera), area / factor**2, 0.0)
             areas.add_(area)  # a Gaussian that the model leaves out is not there
             depths[numbers] += area[numbers] * (1.0 - opacity).clamp_min(MIN_THROUGH).log()
@@ -230,7 +250,7 @@ def _mean_looks(views: _Views, shape: _Shapes, viewer: LowPass, degree: int) -> 
 
     views.each(add)
     opacities = 1.0 - (depths / areas.clamp_min(1e-20)).exp()
-    keep = shape.seen & (opacities >= MIN_ALPHA)
+    keep = shape.seen & (opacities >= (_FAINTEST if viewer is None else MIN_ALPHA))
     coefficients = torch.zeros((count, (degree + 1) ** 2, 3))
     for rows in keep.nonzero()[:, 0].split(_AT_ONCE):
         weight = torch.stack([one[rows] for one in weights], 1)

@@ -87,6 +87,17 @@ def test_a_model_that_is_plain_is_exported_as_it_is(store, tmp_path, capsys):
     assert [row[-1] for row in rows[1:]] == ["baked", str(file)]
 
 
+def test_a_page_is_written_and_its_cost_told(store, tmp_path, capsys):
+    file = tmp_path / "core.html"
+    assert main(["export", job(store, "fair"), "--runs", str(store), "--out", str(file)]) == 0
+    *_, row, size = capsys.readouterr().out.splitlines()
+    own, shown, between = (float(value) for value in row.split()[:3])
+    assert abs(own - shown) < 0.01
+    assert between > 60.0
+    assert f"core.html: {file.stat().st_size:,} bytes" in size
+    assert list(tmp_path.iterdir()) == [file]
+
+
 @pytest.mark.parametrize(("version", "viewer"), [(3, "plain"), (4, "antialiased")])
 def test_spz_says_for_whom_it_is(store, tmp_path, version, viewer):
     file = tmp_path / "core.spz"
@@ -100,8 +111,13 @@ def test_spz_says_for_whom_it_is(store, tmp_path, version, viewer):
 @pytest.mark.parametrize(
     ("more", "says"),
     [
-        (["--out", "x.xyz"], "its suffix names no format. Give --format, one of ply, spz, sog, glb"),
+        (["--out", "x.xyz"], "its suffix names no format. Give --format, one of ply, spz, sog, glb, html"),
         (["--out", "x.ply", "--scene", "cor"], "Did you mean core"),
+        (["--out", "x.html", "--scene", "cor"], "Did you mean core"),
+        (
+            ["--out", "x.html", "--viewer", "plain"],
+            "--viewer of the format html, which draws as the model does",
+        ),
         (["--out", "x.ply", "--spz-version", "4"], "x.ply: --spz-version of the format ply. Leave it out"),
     ],
 )

@@ -1,6 +1,6 @@
 // What fills one of the two pictures of the page: Gaussians drawn here, or pictures that the server draws.
 
-import {ask} from "./server.js";
+import {ask, worker} from "./server.js";
 
 const COARSE = 96; // shorter side of pictures from the server while the camera moves, px
 const PAUSE = 100; // ms between an answer of the server and the next question while the camera moves
@@ -16,7 +16,8 @@ const PAUSE = 100; // ms between an answer of the server and the next question w
 /** A worker that answers in promises. */
 class Task {
   constructor() {
-    this.worker = new Worker("splats.js", {type: "module"});
+    this.worker = worker();
+    this.count = 0;
     this.waiting = new Map();
     this.worker.onmessage = ({data: {id, answer, error}}) => {
       const [done, failed] = this.waiting.get(id);
@@ -33,7 +34,7 @@ class Task {
 
   /** @param {string} task @param {object} body @returns {Promise<any>} */
   ask(task, body) {
-    const id = crypto.randomUUID();
+    const id = ++this.count;
     return new Promise((done, failed) => {
       this.waiting.set(id, [done, failed]);
       this.worker.postMessage({id, task, body});

@@ -89,8 +89,8 @@ async function loop() {
       present();
       await painter.finished();
       const took = performance.now() - start;
+      if (!frames++) continue; // the first one waits for the Gaussians
       share = Math.min(1, Math.max(LEAST_SHARE, share * Math.min(1.15, Math.max(0.7, Math.sqrt(GOAL / took)))));
-      ++frames;
       facts(1000 / took);
       continue;
     }
@@ -116,7 +116,7 @@ function facts(rate) {
   if (own.model) {
     const count = own.scenes.filter((one) => names.includes(one.name)).reduce((sum, one) => sum + one.primitives, 0);
     rows.push(["primitives", count.toLocaleString("en")]);
-    rows.push(["loaded in", `${own.seconds.toFixed(2)} s`]);
+    if (own.seconds !== null) rows.push(["loaded in", `${own.seconds.toFixed(2)} s`]);
   }
   if (layers[0].task) rows.push(["Gaussians in view", layers[0].count.toLocaleString("en")]);
   if (rate) facts.rate = rate;
@@ -251,6 +251,10 @@ function modes() {
 
 async function start() {
   about = await ask("about", {});
+  if (about.sent) { // one model, without a server
+    for (const id of ["models", "modes", "save"]) byId(id).hidden = true;
+    byId("title").textContent = about.sources[0];
+  }
   painter = new Painter(canvas, about.scale, about.most);
   layers = [new Layer(painter, refresh), new Layer(painter, refresh)];
   scenes = new Scenes(byId("scenes"), changed);

@@ -1,4 +1,4 @@
-// Questions to the server, and the numbers in its answers.
+// Questions to the server, and the numbers in its answers. A page that was sent has embedded.js in its place.
 
 const TYPES = {float32: Float32Array, float16: Uint16Array, uint8: Uint8Array};
 
@@ -32,3 +32,6 @@ export async function ask(route, body) {
   }
   return facts;
 }
+
+/** What runs splats.js. */
+export const worker = () => new Worker("splats.js", {type: "module"});
