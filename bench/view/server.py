@@ -180,15 +180,15 @@ class Viewer:
         if not SAVED.fullmatch(name):
             remedy = "Give letters, digits, _ . and -, with the suffix .toml: it is saved where you started"
             raise DataError(printable(name), "is no name of a file", remedy)
-        path, tables = self.folder / name, body["tables"]
+        path = self.folder / name
         if path.exists() and not body.get("over"):
             return {"exists": True}
-        scenes = editable.scenes(tables)
+        tables, scenes = editable.checked(body["tables"]), editable.scenes(body["tables"])
         edits = _edits(body, [scene.name for scene in scenes])
         kept = [one for one in tables if one["name"] not in edits]
         parts = [edited(one, edits[one.name]) if one.name in edits else one for one in scenes]
         text = editable.write(parts, kept, path, over=bool(body.get("over")))
-        return {"text": text, "path": printable(path), "command": f"bench run quick --dataset {name}"}
+        return {"text": text, "path": printable(str(path)), "command": f"bench run quick --dataset {name}"}
 
     def _editable(self, body: Mapping[str, Any]) -> Editable:
         """The scenes of a source that can be edited."""

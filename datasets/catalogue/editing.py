@@ -106,12 +106,14 @@ class Editable:
         low, high = volume.value_range
         return Histogram(counts, density, (float(low), float(high)))
 
-    def write(self, scenes: Sequence[BasicScene], tables: Any, path: Path, *, over: bool = False) -> str:
+    def write(
+        self, scenes: Sequence[BasicScene], tables: Sequence[Table], path: Path, *, over: bool = False
+    ) -> str:
         """Write the dataset with other scenes, as `bench run --dataset` takes it.
 
         Args:
             scenes: what is shown.
-            tables: the scenes' own tables, of which maps are kept.
+            tables: from :meth:`checked`, of scenes whose maps are kept.
             path: TOML file, in the folder that is searched for files first.
             over: whether a file of that name may be replaced.
 
@@ -122,7 +124,7 @@ class Editable:
             DataError: the dataset consists of no files, or the file exists or cannot be written.
         """
         files = [self._file(variable, path.parent) for variable in self.dataset.volumes]
-        given = {one["name"]: one for one in self.checked(tables) if "transfer" in one}
+        given = {one["name"]: one for one in tables if "transfer" in one}
         written = [table_of(scene, given.get(scene.name)) for scene in scenes]
         for table in written:
             if "transfer" in table:
@@ -157,6 +159,7 @@ class Editable:
     def _file(self, variable: str, folder: Path) -> Table:
         """The table of a variable's file, with the range that scenes refer to."""
         field = self.dataset.volumes[variable]
+        table: Table
         files = [one for one in self._table.get("files", ()) if one["variable"] == variable]
         if isinstance(field, FileField):
             one = field.request

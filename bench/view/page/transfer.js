@@ -7,6 +7,7 @@ import {element, hex, rgb} from "./panel.js";
 import {ask} from "./server.js";
 
 const REACH = 9; // px around a handle
+const PAD = 7; // px between the curve and the ends of values
 const MOST = 0.99; // opacity
 const COLORS = ["#57b5e8", "#e69e00", "#cc78a6", "#009e73", "#d65e00", "#0073b3", "#f0e342"]; // Okabe and Ito
 
@@ -161,11 +162,13 @@ export class Editor {
     return state.histograms.get(name);
   }
 
+  /** Pixels of the canvas between values 0 and 1, and between opacities 0 and 1. */
+  extent() { return [this.canvas.clientWidth - 2 * PAD, this.canvas.clientHeight - 2 * PAD]; }
+
   /** Places of a bump's corners on the canvas, px. @param {Bump} bump */
   corners(bump) {
-    const {clientWidth: width, clientHeight: height} = this.canvas;
-    const heights = [0, bump.opacity, bump.opacity, 0];
-    return bump.range.map((value, i) => [value * width, (1 - heights[i]) * (height - 8) + 4]);
+    const [width, height] = this.extent(), heights = [0, bump.opacity, bump.opacity, 0];
+    return bump.range.map((value, i) => [PAD + value * width, PAD + (1 - heights[i]) * height]);
   }
 
   draw() {
@@ -177,12 +180,13 @@ export class Editor {
     byId("low").textContent = known ? String(this.data(0)) : "";
     byId("high").textContent = known ? String(this.data(1)) : "";
     if (known) {
-      context.drawImage(known.picture, 0, 0, width, height);
-      const most = Math.log1p(Math.max(...known.counts)), bar = width / known.counts.length;
+      const [wide, high] = this.extent();
+      context.drawImage(known.picture, PAD, PAD, wide, high);
+      const most = Math.log1p(Math.max(...known.counts)), bar = wide / known.counts.length;
       context.fillStyle = "rgba(60, 70, 85, 0.35)";
       known.counts.forEach((count, i) => {
-        const tall = Math.log1p(count) / most * height;
-        context.fillRect(i * bar, height - tall, bar, tall);
+        const tall = Math.log1p(count) / most * high;
+        context.fillRect(PAD + i * bar, PAD + high - tall, bar, tall);
       });
     }
     const outline = (/** @type {Bump} */ bump) => {
@@ -217,7 +221,7 @@ export class Editor {
     });
     if (state.table.transfer) {
       context.fillStyle = "#222";
-      context.fillText(`follows the map ${state.table.transfer}`, 10, 16);
+      context.fillText(`follows the map ${state.table.transfer}`, 2 * PAD, 3 * PAD);
     }
   }
 
@@ -234,7 +238,7 @@ export class Editor {
       return {place, corner};
     }
     for (const place of order) {
-      const [[a], [b, top], [c], [d]] = this.corners(bumps[place]), floor = this.canvas.clientHeight - 4;
+      const [[a], [b, top], [c], [d]] = this.corners(bumps[place]), floor = this.canvas.clientHeight - PAD;
       const up = x < b ? (x - a) / (b - a) : x > c ? (d - x) / (d - c) : 1;
       if (x >= a && x <= d && y <= floor && y >= floor - up * (floor - top)) return {place, corner: -1};
     }
@@ -254,8 +258,7 @@ export class Editor {
       this.refresh();
     });
     canvas.addEventListener("pointermove", (/** @type {PointerEvent} */ event) => {
-      const {clientWidth: width, clientHeight: height} = canvas;
-      const value = between(event.offsetX / width, 0, 1);
+      const [width, height] = this.extent(), value = between((event.offsetX - PAD) / width, 0, 1);
       byId("at").textContent = this.histogram() ? String(this.data(value)) : "";
       if (!held) return canvas.style.setProperty("cursor", this.hit(event.offsetX, event.offsetY) ? "grab" : "default");
       const {corner, range} = held;
@@ -267,7 +270,7 @@ export class Editor {
           return;
         }
         bump.range[corner] = round(between(value, bump.range[corner - 1] ?? 0, bump.range[corner + 1] ?? 1));
-        if (corner === 1 || corner === 2) bump.opacity = round(between(1 - (event.offsetY - 4) / (height - 8), 0, MOST));
+        if (corner === 1 || corner === 2) bump.opacity = round(between(1 - (event.offsetY - PAD) / height, 0, MOST));
       }, held.fresh);
       if (kept) held.fresh = false;
     });
