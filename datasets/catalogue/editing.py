@@ -17,7 +17,7 @@ from econgs_bench.datasets.catalogue.files import FileField
 from econgs_bench.datasets.catalogue.opening import scenes_of
 from econgs_bench.datasets.catalogue.own import File, checked_scenes, read_entry
 from econgs_bench.datasets.catalogue.proposal import quoted, write_text
-from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.errors import DataError, printable
 from econgs_bench.datasets.scene import BasicScene, Dataset, Light
 from econgs_bench.datasets.visibility import Samples
 
@@ -73,9 +73,12 @@ class Editable:
         """
         checked = checked_scenes(tables, list(self.dataset.volumes))
         for table in checked:
-            path = Path(table.get("transfer", ""))
-            if str(path) not in self._maps and (path.is_absolute() or ".." in path.parts):
-                raise DataError(path, "leads out of the folders of data", "Put the map beside the file")
+            name = table.get("transfer", "")
+            path = Path(name)
+            if name not in self._maps and (path.is_absolute() or ".." in path.parts):
+                raise DataError(
+                    printable(name), "leads out of the folders of data", "Put the map beside the file"
+                )
         return checked
 
     def scenes(self, tables: Any) -> tuple[BasicScene, ...]:

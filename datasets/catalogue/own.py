@@ -215,6 +215,7 @@ def checked_scenes(tables: Any, variables: list[str]) -> list[dict[str, Any]]:
         raise DataError("these scenes", sentence(error, KEYS), "Change it back, or undo") from error
     dumped = entry.model_dump(exclude_unset=True)["scenes"]
     return [
-        {key: value for key, value in scene.items() if value != []} | {"variable": checked.variable}
+        {key: value for key, value in scene.items() if value not in ([], None)}
+        | {"variable": checked.variable}
         for scene, checked in zip(dumped, entry.scenes, strict=True)
     ]

@@ -50,9 +50,9 @@ class Tables {
     return true;
   }
 
-  /** @param {string[]} from @param {string[]} to */
-  step(from, to) {
-    const text = from.pop();
+  /** Undo, or redo. @param {boolean} forth */
+  step(forth) {
+    const [from, to] = forth ? [this.future, this.past] : [this.past, this.future], text = from.pop();
     if (text === undefined) return false;
     to.push(this.now);
     this.take(text);
@@ -134,11 +134,10 @@ export class Editor {
     byId("dropScene").disabled = state.tables.length < 2;
     byId("undo").disabled = !state.past.length;
     byId("redo").disabled = !state.future.length;
-    const ends = /** @type {any[]} */ ([...document.querySelectorAll("#bump .end")]);
     if (bump) {
       byId("bumpColor").value = hex(bump.color);
       byId("opacity").value = bump.opacity.toFixed(3);
-      ends.forEach((one, i) => { one.value = this.data(bump.range[i]); });
+      document.querySelectorAll("#bump .end").forEach((/** @type {any} */ one, i) => { one.value = this.data(bump.range[i]); });
     }
     this.draw();
   }
@@ -193,11 +192,10 @@ export class Editor {
       context.beginPath();
       for (const [x, y] of this.corners(bump)) context.lineTo(x, y);
     };
-    for (const other of state.tables) {
-      if (other === state.table || other.variable !== state.table.variable) continue;
+    context.setLineDash([4, 3]);
+    for (const other of state.tables.filter((one) => one !== state.table && one.variable === state.table.variable)) {
       for (const bump of other.bumps ?? []) {
         context.strokeStyle = hex(bump.color);
-        context.setLineDash([4, 3]);
         outline(bump);
         context.stroke();
       }
@@ -238,7 +236,7 @@ export class Editor {
       return {place, corner};
     }
     for (const place of order) {
-      const [[a], [b, top], [c], [d]] = this.corners(bumps[place]), floor = this.canvas.clientHeight - PAD;
+      const [[a, floor], [b, top], [c], [d]] = this.corners(bumps[place]);
       const up = x < b ? (x - a) / (b - a) : x > c ? (d - x) / (d - c) : 1;
       if (x >= a && x <= d && y <= floor && y >= floor - up * (floor - top)) return {place, corner: -1};
     }
@@ -264,12 +262,9 @@ export class Editor {
       const {corner, range} = held;
       const kept = this.edit((state) => {
         const bump = state.bumps[held.place];
-        if (corner < 0) {
-          const by = between((event.offsetX - held.x) / width, -range[0], 1 - range[3]);
-          bump.range = range.map((/** @type {number} */ one) => round(one + by));
-          return;
-        }
-        bump.range[corner] = round(between(value, bump.range[corner - 1] ?? 0, bump.range[corner + 1] ?? 1));
+        const by = between((event.offsetX - held.x) / width, -range[0], 1 - range[3]);
+        if (corner < 0) bump.range = range.map((/** @type {number} */ one) => round(one + by));
+        else bump.range[corner] = round(between(value, bump.range[corner - 1] ?? 0, bump.range[corner + 1] ?? 1));
         if (corner === 1 || corner === 2) bump.opacity = round(between(1 - (event.offsetY - PAD) / height, 0, MOST));
       }, held.fresh);
       if (kept) held.fresh = false;
@@ -281,19 +276,17 @@ export class Editor {
   wire() {
     const on = (/** @type {string} */ id, /** @type {string} */ event, /** @type {() => any} */ act) =>
       byId(id).addEventListener(event, () => Promise.resolve().then(act).catch(this.say));
-    const select = (/** @type {number} */ scene) => {
-      Object.assign(this.state, {scene, bump: 0});
+    on("scene", "change", () => {
+      Object.assign(this.state, {scene: Number(byId("scene").value), bump: 0});
       this.tell();
       this.refresh();
-    };
-    on("scene", "change", () => select(Number(byId("scene").value)));
+    });
     on("which", "change", () => { this.state.bump = Number(byId("which").value); this.refresh(); });
     on("sceneName", "change", () => this.edit(({table}) => { table.name = byId("sceneName").value.trim(); }));
     on("variable", "change", () => this.edit(({table}) => { table.variable = byId("variable").value; }));
     on("addScene", "click", () => this.edit((state) => {
-      const count = state.tables.length, {variable} = state.table;
-      const name = free("scene", state.tables);
-      state.tables.push({name, variable, bumps: [bump("bump1", COLORS[count % COLORS.length])]});
+      const count = state.tables.length, {variable} = state.table, bumps = [bump("bump1", COLORS[count % COLORS.length])];
+      state.tables.push({name: free("scene", state.tables), variable, bumps});
       Object.assign(state, {scene: count, bump: 0});
     }));
     on("dropScene", "click", () => this.edit((state) => {
@@ -310,10 +303,11 @@ export class Editor {
       state.bumps.splice(state.bump, 1);
       state.bump = Math.max(state.bump - 1, 0);
     }));
-    const colored = (/** @type {boolean} */ fresh) =>
-      this.edit((state) => { state.bumps[state.bump].color = rgb(byId("bumpColor").value).map(round); }, fresh);
     let picking = false; // a color: one step of undo, however long it takes to choose it
-    on("bumpColor", "input", () => { colored(!picking); picking = true; });
+    on("bumpColor", "input", () => {
+      this.edit((state) => { state.bumps[state.bump].color = rgb(byId("bumpColor").value).map(round); }, !picking);
+      picking = true;
+    });
     on("bumpColor", "change", () => { picking = false; });
     on("opacity", "change", () => this.edit((state) => {
       state.bumps[state.bump].opacity = between(Number(byId("opacity").value), 0, MOST);
@@ -336,8 +330,7 @@ export class Editor {
     on("propose", "click", async () => {
       const {state} = this, {variable} = state.table;
       const {tables} = await ask("propose", {source: this.place, variable});
-      if (state !== this.state) return;
-      this.edit(() => {
+      if (state === this.state) this.edit(() => {
         // In place of the scenes of this variable: they are other answers to the same question.
         state.tables = state.tables.filter((one) => one.variable !== variable);
         const first = state.tables.length;
@@ -348,33 +341,32 @@ export class Editor {
         Object.assign(state, {scene: first, bump: 0});
       });
     });
-    const undo = () => { if (this.state.step(this.state.past, this.state.future)) this.tell(); this.refresh(); };
-    const redo = () => { if (this.state.step(this.state.future, this.state.past)) this.tell(); this.refresh(); };
-    on("undo", "click", undo);
-    on("redo", "click", redo);
+    const step = (/** @type {boolean} */ forth) => {
+      const before = this.state.table.name;
+      if (this.state.step(forth)) this.tell(before);
+      this.refresh();
+    };
+    on("undo", "click", () => step(false));
+    on("redo", "click", () => step(true));
     addEventListener("keydown", (event) => {
       if (!this.state || !(event.ctrlKey || event.metaKey) || event.key.toLowerCase() !== "z") return;
       event.preventDefault();
-      event.shiftKey ? redo() : undo();
+      step(event.shiftKey);
     });
-    const ready = (/** @type {boolean} */ over) => {
+    const ready = (/** @type {boolean} */ over, text = "") => {
       this.over = over;
-      byId("saveScenes").textContent = over ? "replace the file" : "save";
+      byId("saveScenes").textContent = over ? "replace it" : "save";
+      byId("command").textContent = text;
     };
     on("saveName", "input", () => ready(false));
     on("saveScenes", "click", async () => {
       const name = byId("saveName").value.trim(), {over} = this;
       ready(false);
-      byId("command").textContent = "";
       const body = {source: this.place, tables: this.state.tables, ...this.others(), name, over};
       const {exists, text, command} = await ask("save", body);
-      if (exists) {
-        byId("command").textContent = `${name} exists`;
-        ready(true);
-        return;
-      }
+      ready(Boolean(exists), exists ? `${name} exists` : command);
+      if (exists) return;
       this.saved = text;
-      byId("command").textContent = command;
       byId("download").hidden = false;
       this.say("");
     });
@@ -391,9 +383,9 @@ const bump = (name, color) => ({name, range: [0.4, 0.475, 0.525, 0.6], color: rg
 
 /** A name that none has yet. @param {string} stem @param {{name: string}[]} taken */
 function free(stem, taken) {
-  for (let n = taken.length + 1; ; ++n) {
-    if (!taken.some((one) => one.name === `${stem}${n}`)) return `${stem}${n}`;
-  }
+  let n = taken.length + 1;
+  while (taken.some(({name}) => name === stem + n)) ++n;
+  return stem + n;
 }
 
 /** A picture of counts by gradient and value, the steepest on top. @param {Float32Array} density */

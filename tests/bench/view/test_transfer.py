@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -171,6 +172,20 @@ def test_proposals_of_a_bare_volume_are_saved(server: Server) -> None:
             assert [bump.start, bump.rise, bump.fall, bump.end] == pytest.approx(
                 [own.start, own.rise, own.fall, own.end], abs=1e-6
             )
+
+
+def test_maps_of_paraview_are_kept_by_name(server: Server, entry: Path) -> None:
+    chart = {"Name": "m", "ColorSpace": "RGB", "RGBPoints": [0.0, 1.0, 0.0, 0.0, 199.0, 0.0, 0.0, 1.0]}
+    (entry.parent / "map.json").write_text(json.dumps([chart]))
+    tables = [*TABLES, {"name": "mapped", "variable": "density", "transfer": "map.json", "rescale": True}]
+    opened = server.viewer.sources[0].open().defined(tables)
+    assert saved(server, "mapped.toml", tables=tables)[0] == 200
+    path = server.viewer.folder / "mapped.toml"
+    assert open_dataset(str(path)).scene("mapped") == opened.definitions["mapped"]
+    assert "bumps" not in found([str(path)], path, (), "cpu")[0].open().editable.tables[1]
+    tables[1]["transfer"] = "none.json"
+    status, answer = saved(server, "unmapped.toml", tables=tables)
+    assert (status, "was not found" in answer["error"]) == (400, True)
 
 
 # --------------------------------------------------------------------------- in a browser
