@@ -171,7 +171,10 @@ async function choose(layer, place, truth = false) {
   }
 }
 
-/** Transfer functions of the left source have changed: show one scene. @param {any} known @param {(string | undefined)[]} names its own, and before */
+/**
+ * Transfer functions of the left source have changed: show one scene.
+ * @param {any} known @param {(string | undefined)[]} names of the scene, now and before
+ */
 function redefined(known, [name, before]) {
   if (!known.scenes.some((/** @type {any} */ one) => one.name === before) && scenes.on.delete(before)) {
     if (!scenes.edits.has(name)) scenes.edits.set(name, scenes.edits.get(before) ?? new Map());

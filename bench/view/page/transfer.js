@@ -14,7 +14,6 @@ const COLORS = ["#57b5e8", "#e69e00", "#cc78a6", "#009e73", "#d65e00", "#0073b3"
 /** @typedef {{name: string, range: number[], color: number[], opacity: number}} Bump */
 /** @typedef {{name: string, variable: string, bumps?: Bump[], transfer?: string, preset?: string}} Table */
 /** @typedef {{counts: Float32Array, range: number[], picture: HTMLCanvasElement}} Histogram */
-
 const byId = (/** @type {string} */ id) => /** @type {any} */ (document.getElementById(id));
 const round = (/** @type {number} */ value) => Math.round(1e6 * value) / 1e6;
 const between = (/** @type {number} */ value, /** @type {number} */ low, /** @type {number} */ high) =>
@@ -346,8 +345,7 @@ export class Editor {
       if (this.state.step(forth)) this.tell(before);
       this.refresh();
     };
-    on("undo", "click", () => step(false));
-    on("redo", "click", () => step(true));
+    for (const id of ["undo", "redo"]) on(id, "click", () => step(id === "redo"));
     addEventListener("keydown", (event) => {
       if (!this.state || !(event.ctrlKey || event.metaKey) || event.key.toLowerCase() !== "z") return;
       event.preventDefault();

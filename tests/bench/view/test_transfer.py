@@ -182,7 +182,7 @@ def test_maps_of_paraview_are_kept_by_name(server: Server, entry: Path) -> None:
     assert saved(server, "mapped.toml", tables=tables)[0] == 200
     path = server.viewer.folder / "mapped.toml"
     assert open_dataset(str(path)).scene("mapped") == opened.definitions["mapped"]
-    assert "bumps" not in found([str(path)], path, (), "cpu")[0].open().editable.tables[1]
+    assert "bumps" not in found([str(path)], path.parent, (), "cpu")[0].open().editable.tables[1]
     tables[1]["transfer"] = "none.json"
     status, answer = saved(server, "unmapped.toml", tables=tables)
     assert (status, "was not found" in answer["error"]) == (400, True)
