@@ -43,17 +43,28 @@ def read_toml(path: Path, schema: type[M], remedy: str, keys: Collection[str] = 
     try:
         return TypeAdapter(schema).validate_python(table, context={"path": path})
     except ValidationError as error:
-        # An unknown key first: what a misspelt key leaves missing would mislead.
-        first, *others = sorted(error.errors(), key=lambda each: each["type"] not in _UNKNOWN)
-        reason = first["msg"].removeprefix("Value error, ")
-        if first["type"] in _UNKNOWN:
-            near = get_close_matches(str(first["loc"][-1]), keys, n=1)
-            reason = "unknown key" + "".join(f", perhaps {name}" for name in near)
-        name = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"])
-        line = line_of(text, first["loc"])
-        where = name.lstrip(".") + (f" (line {line})" if line else "")
-        more = f" (and {len(others)} more)" if others else ""
-        raise DataError(path, f"{where}: {reason}{more}" if where else reason + more, remedy) from error
+        raise DataError(path, sentence(error, keys, text), remedy) from error
+
+
+def sentence(error: ValidationError, keys: Collection[str] = (), text: str = "") -> str:
+    """The first of what a schema refuses: the key, its line if it stands in a TOML text, and the reason.
+
+    Args:
+        error: of pydantic.
+        keys: known keys, of which the nearest is proposed for one that is unknown.
+        text: that was read.
+    """
+    # An unknown key first: what a misspelt key leaves missing would mislead.
+    first, *others = sorted(error.errors(), key=lambda each: each["type"] not in _UNKNOWN)
+    reason = first["msg"].removeprefix("Value error, ")
+    if first["type"] in _UNKNOWN:
+        near = get_close_matches(str(first["loc"][-1]), keys, n=1)
+        reason = "unknown key" + "".join(f", perhaps {name}" for name in near)
+    name = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"])
+    line = line_of(text, first["loc"])
+    where = name.lstrip(".") + (f" (line {line})" if line else "")
+    more = f" (and {len(others)} more)" if others else ""
+    return f"{where}: {reason}{more}" if where else reason + more
 
 
 def line_of(text: str, place: tuple[int | str, ...]) -> int:

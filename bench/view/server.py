@@ -11,6 +11,7 @@ import errno
 import hashlib
 import hmac
 import json
+import re
 import secrets
 import struct
 import sys
@@ -19,7 +20,7 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,10 +32,15 @@ from econgs_bench.datasets.camera import Camera
 from econgs_bench.datasets.errors import DataError, printable, text_of
 from econgs_bench.datasets.scene import RGB
 
+if TYPE_CHECKING:
+    from econgs_bench.datasets.catalogue.editing import Editable
+
 HOST = "127.0.0.1"
 TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 LONGEST = 1 << 20
 """Bytes of a request."""
+SAVED = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,95}\.toml")
+"""Names of files that the page may write."""
 LARGEST = 2048
 """Pixels along a side of a picture."""
 POLICY = (
@@ -88,10 +94,12 @@ class Viewer:
 
     Args:
         sources: what can be looked at, at least one.
+        folder: in which scenes are saved; None: where the command was started.
     """
 
-    def __init__(self, sources: Sequence[Source]) -> None:
+    def __init__(self, sources: Sequence[Source], folder: Path | None = None) -> None:
         self.sources = tuple(sources)
+        self.folder = (folder or Path.cwd()).resolve()
 
     def about(self, body: Mapping[str, Any]) -> Reply:
         """Labels of all sources, and the color scale of differences."""
@@ -155,12 +163,48 @@ class Viewer:
         _, scenes = self._source(body)
         return {"text": toml_of(_edits(body, scenes))}
 
+    def histogram(self, body: Mapping[str, Any]) -> Reply:
+        """How often values, and gradients of them, occur in a variable (:class:`.Histogram`)."""
+        counts, density, ends = self._editable(body).histogram(str(body["variable"]))
+        return Numbers({"range": ends}, counts=counts, density=density)
+
+    def propose(self, body: Mapping[str, Any]) -> Reply:
+        """Scenes of a variable as `bench scenes` proposes them."""
+        return {"tables": self._editable(body).proposed(str(body["variable"]))}
+
+    def save(self, body: Mapping[str, Any]) -> Reply:
+        """Write the scenes with their edits as a TOML file; ``over``: it may replace one."""
+        from econgs_bench.datasets.edits import edited
+
+        name, editable = str(body["name"]), self._editable(body)
+        if not SAVED.fullmatch(name):
+            remedy = "Give letters, digits, _ . and -, with the suffix .toml: it is saved where you started"
+            raise DataError(printable(name), "is no name of a file", remedy)
+        path = self.folder / name
+        if path.exists() and not body.get("over"):
+            return {"exists": True}
+        tables, scenes = editable.checked(body["tables"]), editable.scenes(body["tables"])
+        edits = _edits(body, [scene.name for scene in scenes])
+        kept = [one for one in tables if one["name"] not in edits]
+        parts = [edited(one, edits[one.name]) if one.name in edits else one for one in scenes]
+        text = editable.write(parts, kept, path, over=bool(body.get("over")))
+        return {"text": text, "path": printable(str(path)), "command": f"bench run quick --dataset {name}"}
+
+    def _editable(self, body: Mapping[str, Any]) -> Editable:
+        """The scenes of a source that can be edited."""
+        source, _ = self._source({"source": body["source"]})
+        if source.editable is None:
+            raise DataError("this source", "has no transfer functions to edit", "View a volume or a dataset")
+        return source.editable
+
     def _source(self, body: Mapping[str, Any]) -> tuple[Opened, list[str]]:
         """A source, and the scenes of it that are shown."""
         place = body["source"]
         if not isinstance(place, int) or not 0 <= place < len(self.sources):
             raise DataError("this request", f"there is no source {place!r}", "Load the page again")
         source = self.sources[place].open()
+        if "tables" in body:
+            source = source.defined(body["tables"])
         scenes = [name for name in source.scenes if name in body.get("scenes", source.scenes)]
         if not scenes:
             raise DataError("no scene", "is switched on", "Switch one on")
@@ -175,6 +219,9 @@ ROUTES: dict[str, Callable[[Viewer, Mapping[str, Any]], Reply]] = {
     "picture": Viewer.picture,
     "truth": Viewer.truth,
     "edit": Viewer.edit,
+    "histogram": Viewer.histogram,
+    "propose": Viewer.propose,
+    "save": Viewer.save,
 }
 """Name of a route, asked for by POST with a JSON object -> its answer."""
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from copy import copy
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Protocol
@@ -20,6 +21,7 @@ from econgs_bench.datasets.scene import RGB, WHITE, BasicScene, Dataset
 if TYPE_CHECKING:
     from econgs_bench.bench.jobs.truth import Truth
     from econgs_bench.bench.store.store import Store
+    from econgs_bench.datasets.catalogue.editing import Editable
     from econgs_bench.datasets.edits import Edit
     from econgs_bench.econgs.splat.splats import Splats
     from econgs_bench.methods.interface import Model
@@ -64,14 +66,21 @@ class Marched:
         self._name, self._dataset, self._samples = name, dataset, samples
         self._thread = ThreadPoolExecutor(1, "truth")
         self._prepared: dict[Any, Any] = {}
+        self._definitions: dict[str, BasicScene] = {}
 
     def draw(self, camera: Camera, scenes: Sequence[str], edits: Edits, samples: int | None) -> Picture:
         """One view; see :class:`Drawer`."""
         return self._thread.submit(self._draw, camera, tuple(scenes), edits, samples).result()
 
+    def defined(self, definitions: Sequence[BasicScene]) -> Marched:
+        """The same volumes with other scenes."""
+        other = copy(self)
+        other._definitions = {scene.name: scene for scene in definitions}
+        return other
+
     def _draw(self, camera: Camera, scenes: tuple[str, ...], edits: Edits, samples: int | None) -> Picture:
         rays = self._samples if samples is None else samples
-        key = scenes, repr(sorted(edits.items())), rays
+        key = scenes, repr(sorted(edits.items())), rays, tuple(self._definitions.get(one) for one in scenes)
         if key not in self._prepared:
             while len(self._prepared) >= _PREPARED:
                 del self._prepared[next(iter(self._prepared))]
@@ -86,7 +95,7 @@ class Marched:
 
         if self._dataset is None:
             self._dataset = open_dataset(self._name)
-        parts = tuple(self._dataset.scene(name) for name in scenes)
+        parts = tuple(self._definitions.get(name) or self._dataset.scene(name) for name in scenes)
         parts = tuple(edited(one, edits[one.name]) if one.name in edits else one for one in parts)
         request = ViewRequest("test", 12, 1, 8, 8, samples=rays)
         return RenderJob.of(self._dataset, parts, request, "auto").set_up()[0]
@@ -131,6 +140,7 @@ class Opened:
         shown: the scenes that are shown at first; empty: the first one.
         size: bytes of the files; None of the truth.
         seconds: time to load.
+        editable: its scenes, whose transfer functions can be edited; None: they cannot.
     """
 
     scenes: tuple[str, ...]
@@ -143,6 +153,20 @@ class Opened:
     shown: tuple[str, ...] = ()
     size: int | None = None
     seconds: float = 0.0
+    editable: Editable | None = None
+
+    def defined(self, tables: Any) -> Opened:
+        """The same with the scenes of tables (:class:`.datasets.catalogue.editing.Editable`).
+
+        Raises:
+            DataError: its scenes cannot be edited, or the tables are refused.
+        """
+        if self.editable is None or not isinstance(self.drawer, Marched):
+            raise DataError("this source", "has no transfer functions to edit", "View a volume or a dataset")
+        scenes = self.editable.scenes(tables)
+        definitions = {scene.name: scene for scene in scenes}
+        drawer = self.drawer.defined(scenes)
+        return replace(self, scenes=tuple(definitions), definitions=definitions, drawer=drawer)
 
     def about(self) -> dict[str, Any]:
         """What the page shows of it, as JSON values."""
@@ -173,6 +197,8 @@ class Opened:
             "shown": self.shown or self.scenes[:1],
             "bytes": self.size,
             "seconds": self.seconds,
+            "tables": None if self.editable is None else self.editable.tables,
+            "variables": [] if self.editable is None else list(self.editable.dataset.volumes),
         }
 
     def splats(self, camera: Camera, scenes: Sequence[str], edits: Edits) -> Splats:
@@ -182,7 +208,6 @@ class Opened:
             DataError: the source does not consist of Gaussians, or refuses the scenes or the edit.
         """
         import math
-        from dataclasses import replace
 
         import torch
 
@@ -447,6 +472,8 @@ def _dataset(name: str) -> Source:
         raise DataError(name, "holds pictures, no volume", "View a model that was trained on it")
 
     def opened() -> Opened:
+        from econgs_bench.datasets.catalogue.editing import Editable
+
         request = ViewRequest("test", 12, _VIEWS, _SIZE, _SIZE)
         scenes = tuple(scene.name for scene in dataset.scenes)
         cameras = cameras_of(dataset, scenes[0], request)
@@ -456,6 +483,9 @@ def _dataset(name: str) -> Source:
         if any(scene.light is None for scene in dataset.scenes):
             edits -= {"light", "shading"}
         background = dataset.scenes[0].background
-        return Opened(scenes, background, cameras, None, drawer, definitions, frozenset(edits))
+        return Opened(
+            scenes, background, cameras, None, drawer, definitions, frozenset(edits),
+            editable=Editable(name, dataset),
+        )  # fmt: skip
 
     return Source(f"{dataset.name} (ground truth)", opened)

@@ -166,6 +166,17 @@ def _from_catalogue(name: str, table: dict[str, Any], folders: Sequence[Path], r
     return replace(dataset, scenes=scenes)
 
 
+def scenes_of(
+    dataset: Dataset, tables: list[dict[str, Any]], folders: Sequence[Path]
+) -> tuple[BasicScene, ...]:
+    """Basic scenes, on a dataset's volumes, of tables from :func:`.datasets.catalogue.own.checked_scenes`.
+
+    Raises:
+        DataError: a map is not in one of the folders, or unusable.
+    """
+    return _scenes({"scenes": tables}, partial(_mapped, dataset, folders))
+
+
 def _mapped(dataset: Dataset, folders: Sequence[Path], scene: dict[str, Any]) -> TransferFunction:
     """The transfer function of a scene that names a map of ParaView; its own values need the volume's."""
     from econgs_bench.datasets.transfer_maps import read_map, transfer_of

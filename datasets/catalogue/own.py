@@ -6,13 +6,13 @@ import math
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from econgs_bench.datasets.colors import REMEDY as COLORS
 from econgs_bench.datasets.colors import hex_color
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.ground_truth.sampling import samples_of
-from econgs_bench.datasets.toml import read_toml
+from econgs_bench.datasets.toml import read_toml, sentence
 
 REMEDY = "Mend it: `bench scenes VOLUME` writes such a file, with a comment for each key"
 
@@ -196,3 +196,26 @@ def read_entry(path: Path) -> dict[str, Any]:
         table["variable"] = scene.variable
     whole["files"] = [file.model_dump(exclude_none=True) for file in entry.files]
     return whole
+
+
+def checked_scenes(tables: Any, variables: list[str]) -> list[dict[str, Any]]:
+    """Tables of scenes that are in no file, checked as those of a file; empty lists are left out.
+
+    Args:
+        tables: list of tables.
+        variables: of the dataset.
+
+    Raises:
+        DataError: they do not follow the schema; the reason is one sentence.
+    """
+    whole = {"files": [{"path": "-", "variable": variable} for variable in variables], "scenes": tables}
+    try:
+        entry = Entry.model_validate(whole)
+    except ValidationError as error:
+        raise DataError("these scenes", sentence(error, KEYS), "Change it back, or undo") from error
+    dumped = entry.model_dump(exclude_unset=True)["scenes"]
+    return [
+        {key: value for key, value in scene.items() if value not in ([], None)}
+        | {"variable": checked.variable}
+        for scene, checked in zip(dumped, entry.scenes, strict=True)
+    ]

@@ -5,6 +5,7 @@ import {Painter} from "./gl.js";
 import {Layer} from "./layers.js";
 import {Scenes, element, hex, rgb} from "./panel.js";
 import {ask} from "./server.js";
+import {Editor} from "./transfer.js";
 
 const REST = 120; // ms without a change, after which full quality is drawn
 const GOAL = 60; // ms a frame takes while the camera moves
@@ -14,7 +15,7 @@ const byId = (/** @type {string} */ id) => /** @type {any} */ (document.getEleme
 const stage = byId("stage"), canvas = byId("canvas");
 const view = new View();
 const opened = /** @type {Map<number, any>} */ (new Map()); // place -> what the route `open` says
-let about, painter, layers, scenes;
+let about, painter, layers, scenes, editor;
 let stamp = 0, moved = -1e9, drawn = -1, share = 1, frames = 0, wake = () => {};
 let shown = false; // whether the canvas shows all that the layers hold
 let bookmark = 0;
@@ -62,7 +63,9 @@ function size() {
 function wish(layer) {
   const [width, height] = size(), own = source(layer);
   const background = rgb(byId("background").value);
-  const body = {source: layer.source, scenes: scenes.of(own), edits: scenes.texts(own), background};
+  const body = {
+    source: layer.source, scenes: scenes.of(own), edits: scenes.texts(own), background, ...editor.body(layer.source),
+  };
   return {stamp, camera: view.at(width, height), body, least: Number(byId("least").value)};
 }
 
@@ -148,6 +151,7 @@ async function choose(layer, place, truth = false) {
     scenes.show(layers.filter((one) => one.source !== null).map(source));
     if (layer === layers[0]) {
       const known = opened.get(place);
+      editor.show(place, known);
       byId("bookmark").replaceChildren(...known.cameras.map((one, i) =>
         element("option", {value: i, textContent: one.name || `view ${i}`})));
       if (first) {
@@ -165,6 +169,20 @@ async function choose(layer, place, truth = false) {
   } catch (error) {
     say(error);
   }
+}
+
+/**
+ * Transfer functions of the left source have changed: show one scene.
+ * @param {any} known @param {(string | undefined)[]} names of the scene, now and before
+ */
+function redefined(known, [name, before]) {
+  if (!known.scenes.some((/** @type {any} */ one) => one.name === before) && scenes.on.delete(before)) {
+    if (!scenes.edits.has(name)) scenes.edits.set(name, scenes.edits.get(before) ?? new Map());
+    scenes.on.add(name);
+  }
+  if (!scenes.on.has(name)) scenes.on = new Set([name]);
+  scenes.show(layers.filter((one) => one.source !== null).map(source));
+  changed();
 }
 
 /** @param {number} place of a bookmark */
@@ -214,10 +232,8 @@ function wire() {
     changed();
   });
   on("save", "click", async () => {
-    const own = source(layers[0]);
-    if (!own) return;
-    const body = {source: layers[0].source, scenes: scenes.of(own), edits: scenes.texts(own)};
-    download("edits.toml", new Blob([(await ask("edit", body)).text], {type: "application/toml"}));
+    if (!source(layers[0])) return;
+    download("edits.toml", new Blob([(await ask("edit", wish(layers[0]).body)).text], {type: "application/toml"}));
   });
   on("shot", "click", () => {
     present(); // what a canvas holds is lost when it was shown
@@ -258,6 +274,7 @@ async function start() {
   painter = new Painter(canvas, about.scale, about.most);
   layers = [new Layer(painter, refresh), new Layer(painter, refresh)];
   scenes = new Scenes(byId("scenes"), changed);
+  editor = new Editor(redefined, say, () => ({edits: scenes.texts(source(layers[0]))}), download);
   wire();
   await choose(layers[0], 0);
   if (layers[0].source !== null) await loop();
@@ -272,6 +289,7 @@ globalThis.bench = {
   source: (/** @type {number} */ which) => layers[which].source,
   shot: () => { present(); return canvas.toDataURL("image/png"); },
   scenes: () => scenes.of(source(layers[0])),
+  tables: () => editor.state.tables, corners: (/** @type {number} */ place) => editor.corners(editor.state.bumps[place]),
   frames: () => frames, camera: () => wish(layers[0]).camera, share: () => share,
 };
 start().catch(say);
