@@ -373,6 +373,9 @@ class Handler(BaseHTTPRequestHandler):
 
     def _refuse(self, status: HTTPStatus, why: str) -> None:
         self.close_connection = True
+        length = self.headers.get("Content-Length", "")
+        if length.isdecimal():  # what is left unread would reset the connection before the answer arrives
+            self.rfile.read(min(int(length), 4 * LONGEST))
         self._send(status, json.dumps({"error": why}).encode(), "application/json")
 
     def _send(self, status: HTTPStatus, data: bytes, kind: str) -> None:
