@@ -85,10 +85,11 @@ class Watch:
         """
         self.commands += 1
         start, log = time.monotonic(), bench.store.parent / "log"
-        with log.open("wb") as output:
+        remarks = log.with_suffix(".err")
+        with log.open("wb") as output, remarks.open("wb") as said:
             process = subprocess.Popen(
                 bench.command(*words), env=bench.environment, cwd=bench.store.parent,
-                stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
+                stdin=subprocess.DEVNULL, stdout=output, stderr=said,
             )  # fmt: skip
             resource.prlimit(process.pid, resource.RLIMIT_AS, (8 * MEMORY, 8 * MEMORY))
             peak = 0
@@ -97,7 +98,8 @@ class Watch:
                 if time.monotonic() - start > SECONDS:
                     process.kill()
                 time.sleep(0.01)
-        code, text = process.returncode, log.read_text(encoding="utf-8", errors="replace")
+        code = process.returncode
+        text = "".join(path.read_text(encoding="utf-8", errors="replace") for path in (log, remarks))
         self.most = max(self.most, peak)
         faults = []
         if "Traceback" in text or code not in CODES:
@@ -297,8 +299,11 @@ def attack_texts(victim: Victim, labels: Iterable[str], tally: Tally) -> None:
         for form in ("", "md", "csv", "tex", "json"):
             words = ("results", "--runs", runs, *(("--format", form) if form else ()))
             wrong = victim.watch.run(victim.bench, *words)
-            text = (victim.folder / "log").read_bytes().decode("utf-8", "replace")
-            if not wrong and re.search("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e]", text):
+            # Remarks on standard error are for people: only what is printed must be of the form.
+            text, said = (
+                (victim.folder / name).read_bytes().decode("utf-8", "replace") for name in ("log", "log.err")
+            )
+            if not wrong and re.search("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e]", text + said):
                 wrong = "a control character"
             commands = {"md": r"<(script|img)", "csv": r'(^|,)"?[=@]'}.get(form)
             if not wrong and commands and re.search(commands, text, re.MULTILINE):
