@@ -179,12 +179,8 @@ def time_frames(
                 stretch.append(frame())
                 times.append(stretch[-1])
     after = reference_seconds()
-    p05, median, p95 = np.percentile(times, [5, 50, 95]).tolist()
     return FrameTimes(
-        frame_seconds=median,
-        frame_seconds_p05=p05,
-        frame_seconds_p95=p95,
-        frames=len(times),
+        **_spread(times),
         warmup_frames=len(warm),
         warmup_stable=stable,
         reference_seconds=mean_of(before, after),
@@ -193,15 +189,19 @@ def time_frames(
     )
 
 
+def _spread(times: Sequence[float]) -> dict[str, Any]:
+    """Median and percentiles of the seconds of frames, and their number; None where there are none."""
+    p05, median, p95 = np.percentile(times, [5, 50, 95]).tolist() if times else (None, None, None)
+    return {
+        "frame_seconds": median, "frame_seconds_p05": p05, "frame_seconds_p95": p95, "frames": len(times),
+    }  # fmt: skip
+
+
 def told_frames(times: Sequence[float]) -> FrameTimes:
     """Seconds of frames by the program that drew them; those not finite and positive are left out."""
     known = [one for one in times if math.isfinite(one) and one > 0.0]
-    p05, median, p95 = np.percentile(known, [5, 50, 95]).tolist() if known else (None, None, None)
     return FrameTimes(
-        frame_seconds=median,
-        frame_seconds_p05=p05,
-        frame_seconds_p95=p95,
-        frames=len(known),
+        **_spread(known),
         warmup_stable=False,
         reference_seconds=reference_seconds(),
         ruler=BY_PROGRAM,
