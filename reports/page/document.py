@@ -18,7 +18,7 @@ from econgs_bench.reports.sections.paper.tables import paper_tables
 from econgs_bench.reports.sections.pictures import section as pictures
 from econgs_bench.reports.sections.section import Page, Section, to_html, to_latex, to_markdown
 from econgs_bench.reports.style import absent, counted, label
-from econgs_bench.reports.text import xml_text
+from econgs_bench.reports.text import markdown_cell, xml_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -67,9 +67,8 @@ def write_report(
             parts.insert(0, start)
         write_files(report, out.parent, paper)
         name = _name(report.stored["dvr"] if report.results.empty else report.results)
-        write_text(
-            out.with_name("report.md"), "\n".join([f"# {name}\n", *filter(None, map(to_markdown, parts))])
-        )
+        texts = [f"# {markdown_cell(name)}\n", *filter(None, map(to_markdown, parts))]
+        write_text(out.with_name("report.md"), "\n".join(texts))
         write_text(out.with_name("report.tex"), "\n".join(filter(None, map(to_latex, parts))))
         head = _head(name, report.measured, parts, [one.sentence for one in report.remarks])
         write_text(out, xml_text(document(name, head, parts)))

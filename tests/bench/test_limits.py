@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import mmap
 import subprocess
 import sys
 import time
@@ -144,25 +143,34 @@ def test_looks_at_memory_go_on_while_the_machine_is_busy(suite, tmp_path, monkey
     assert time.monotonic() - start < 5.0  # by the clock, five pauses of 2.5 s
 
 
+MAPPED = """
+import mmap, subprocess, sys
+with open(sys.argv[1], "rb") as opened, mmap.mmap(opened.fileno(), 0, prot=mmap.PROT_READ) as pages:
+    assert pages[:: mmap.PAGESIZE].count(b"x") == len(pages) // mmap.PAGESIZE
+    child = subprocess.Popen([sys.executable, "-c", ""])
+    print(child.pid, flush=True)
+    sys.stdin.read()
+"""
+"""A process with a file in memory, and a child that has ended and that nobody has waited for."""
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="no fork here")
 def test_pages_of_files_are_no_memory_of_a_job(tmp_path) -> None:
     """Against the system's own count of anonymous pages, with a file of 64 MiB in memory."""
     file = tmp_path / "volume.raw"
     file.write_bytes(b"x" * 2**26)
-    with file.open("rb") as opened, mmap.mmap(opened.fileno(), 0, prot=mmap.PROT_READ) as pages:
-        assert pages[:: mmap.PAGESIZE].count(b"x") == 2**26 // mmap.PAGESIZE
-        process = psutil.Process()
-        family = [process, *process.children(recursive=True)]  # others' tests may have left some
-        resident = sum(one.memory_info().rss for one in family)
-        assert used_memory(process.pid, OFF) == pytest.approx(resident, rel=0.1)
-        child = subprocess.Popen([sys.executable, "-c", ""])
-        while psutil.Process(child.pid).status() != psutil.STATUS_ZOMBIE:  # ended, nobody has waited for it
+    command = [sys.executable, "-c", MAPPED, str(file)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        child = psutil.Process(int(process.stdout.readline()))
+        while child.status() != psutil.STATUS_ZOMBIE:
             time.sleep(0.01)
+        resident = psutil.Process(process.pid).memory_info().rss
+        assert used_memory(process.pid, OFF) == pytest.approx(resident, rel=0.1)
         held = used_memory(process.pid, 0)
-        child.wait()
         assert held <= resident - 2**26
-        files = [Path(f"/proc/{one.pid}/status") for one in family]
-        lines = [line for file in files for line in file.read_text(encoding="utf-8").splitlines()]
+        lines = Path(f"/proc/{process.pid}/status").read_text(encoding="utf-8").splitlines()
         counts = [int(line.split()[1]) for line in lines if line.startswith(("RssAnon", "RssShmem"))]
         assert held == pytest.approx(1024 * sum(counts), rel=0.05)
+        process.communicate()
     assert 0 < available_memory() <= psutil.virtual_memory().total + psutil.swap_memory().total
