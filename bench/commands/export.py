@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from econgs_bench.bench.commands.arguments import add_device, add_runs, add_stored, iterations
 from econgs_bench.bench.run.plugins import plugin_folders
 from econgs_bench.bench.saved import load, picture, truth_of
-from econgs_bench.bench.store.store import Store
+from econgs_bench.bench.store.store import Store, write_text
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.names import unknown
 from econgs_bench.reports.progress import step
@@ -39,9 +39,7 @@ def export_arguments(parser: ArgumentParser) -> None:
     add_runs(parser)
     parser.add_argument("model", metavar="JOB", help="an encode or measure job of --runs")
     parser.add_argument("--out", required=True, metavar="FILE", help="the file to write")
-    parser.add_argument(
-        "--format", choices=("ply", "spz", "sog", "glb", "html"), help="default: as the suffix of --out says"
-    )
+    parser.add_argument("--format", choices=FORMATS, help="default: as the suffix of --out says")
     parser.add_argument("--scene", help="which, if the model holds several (default of html: all)")
     parser.add_argument(
         "--viewer", choices=("antialiased", "plain"),
@@ -68,17 +66,14 @@ def export(options: Namespace) -> int:
     step(f"loading {options.model}")
     method, scenes, size, model = load(store, options.model, folders, options.device)
     scene = _scene(options, scenes, model)
-    record, truth = truth_of(store, options.model, scene)
-    split: Split = "train" if record.job.split == "val" else "trainval"
-    viewer, stages = _plain(model, scene, truth.cameras(split), truth.scene().background, options)
+    cameras, background, views = _seen(store, options.model, scene)
+    viewer, stages = _plain(model, scene, cameras, background, options)
     gaussians = next(reversed(stages.values()))
     step(f"writing {file}")
     written = _written(file, name, gaussians, viewer, options.spz_version)
     rows = [(f"{method}, as it is", size, model)]
     rows += [(title, one.rows().nbytes, _model(one)) for title, one in stages.items() if title]
     rows.append((str(file), written, _model(_read(file, name, gaussians))))
-    count = len(truth.cameras("test"))
-    views = truth.views("test", range(0, count, max(1, -(-count // _MEASURED))))
     print(
         f"PSNR [dB] in {len(views.cameras)} test views of {scene}: against the truth in {viewer} viewers,\n"
         "and against the model's own pictures at several sizes in both kinds of viewers"
@@ -137,20 +132,12 @@ def _page(file: Path, options: Namespace) -> int:
     parts, tested = [], {}
     for scene in scenes:
         step(f"reading the Gaussians of {scene}")
-        record, truth = truth_of(store, options.model, scene)
-        split: Split = "train" if record.job.split == "val" else "trainval"
-        parts.append(part(opened, scene, truth.cameras(split), truth.scene().background))
-        count = len(truth.cameras("test"))
-        tested[scene] = truth.views("test", range(0, count, max(1, -(-count // _MEASURED))))
+        cameras, background, tested[scene] = _seen(store, options.model, scene)
+        parts.append(part(opened, scene, cameras, background))
     step(f"writing {file}")
     page = sent(opened, title_of(store, options.model), parts)
     file.parent.mkdir(parents=True, exist_ok=True)
-    whole = file.with_name(f".{file.name}.part")
-    try:
-        whole.write_text(page.text, encoding="utf-8", newline="\n")
-        whole.replace(file)
-    finally:
-        whole.unlink(missing_ok=True)
+    write_text(file, page.text)
     print(f"PSNR [dB] in up to {_MEASURED} test views; the page at 16 bits, drawn here")
     print(f"{'model, truth':>12} {'page, truth':>12} {'page, model':>12}")
     for scene, views in tested.items():
@@ -178,6 +165,15 @@ def _scene(options: Namespace, scenes: Sequence[str], model: Model) -> str:
     if len(scenes) != 1:
         raise DataError(options.model, f"holds {', '.join(scenes)}", "Choose one: --scene NAME")
     return scenes[0]
+
+
+def _seen(store: Store, job: str, scene: str) -> tuple[Sequence[Camera], RGB, ViewSet]:
+    """Cameras that a job's fit saw of a scene, its background, and the test views that are measured."""
+    record, truth = truth_of(store, job, scene)
+    split: Split = "train" if record.job.split == "val" else "trainval"
+    count = len(truth.cameras("test"))
+    views = truth.views("test", range(0, count, max(1, -(-count // _MEASURED))))
+    return truth.cameras(split), truth.scene().background, views
 
 
 def _plain(

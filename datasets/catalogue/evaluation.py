@@ -46,7 +46,4 @@ def _digest(path: Path) -> str:
         return ""
     packed = path.suffix == ".gz" and path.with_suffix("").suffix == ".raw"
     with gzip.open(path) if packed else path.open("rb") as file:
-        digest = hashlib.sha512()
-        while block := file.read(2**20):
-            digest.update(block)
-    return digest.hexdigest()
+        return hashlib.file_digest(file, "sha512").hexdigest()

@@ -315,7 +315,7 @@ class CommandModel:
             folders[name].mkdir()
         values = {name: str(folder) for name, folder in folders.items()}
         values |= dict(frozen.options)
-        values |= {"background": ",".join(f"{one:g}" for one in background)}
+        values |= {"background": _color(background)}
         loaded: process.Usage | None = None
         if file.load is not None:
             loaded = programs.run("load", file.load, values, self._device, work)
@@ -491,7 +491,7 @@ class CommandMethod:
         kept = {"iterations": str(budget.iterations), "seed": str(seed), "scene": scene.name}
         kept |= {name: _written(value) for name, value in chosen.items()}
         values = {"views": str(work.path / "views"), "out": str(out), **kept}
-        values |= {"background": ",".join(f"{one:g}" for one in background)}
+        values |= {"background": _color(background)}
         pattern = re.compile(file.train.progress) if file.train.progress is not None else None
         count = 0
 
@@ -564,6 +564,11 @@ def _texts(values: Any) -> dict[str, str]:
 def _written(value: Any) -> str:
     """An option's value in a command."""
     return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _color(background: RGB) -> str:
+    """A background in a command."""
+    return ",".join(f"{one:g}" for one in background)
 
 
 def _frame_seconds(match: re.Match[str]) -> float:
@@ -642,11 +647,6 @@ def frozen_files(
         )
         raise DataError(what, reason, "Narrow `files`, or raise `limit`")
     return {name: np.fromfile(folder / name, np.uint8) for name in sorted(names)}
-
-
-def _parts(path: Path) -> list[str]:
-    """A path as texts and the numbers between them."""
-    return re.split(r"([0-9]+)", str(path))
 
 
 def _pictures(folder: Path, glob: str, cameras: Sequence[Camera], what: str) -> list[Path]:
