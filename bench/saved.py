@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from econgs_bench.datasets.camera import Camera
     from econgs_bench.datasets.edits import Edit
     from econgs_bench.datasets.scene import RGB
+    from econgs_bench.datasets.views import Split
     from econgs_bench.methods.interface import Model
 
 
@@ -80,6 +81,17 @@ def truth_of(store: Store, job_id: str, scene: str) -> tuple[Record, Truth]:
             return record, Truth(store.jobs / job.id)
         waiting += job.needs
     raise DataError(job_id, f"the store lacks the training views of {scene}", "Use the store that it ran in")
+
+
+def seen(store: Store, job_id: str, scene: str) -> tuple[Sequence[Camera], RGB, Truth]:
+    """Training cameras of a job's fit, background and views of a scene.
+
+    Raises:
+        DataError: they are not in the store.
+    """
+    record, truth = truth_of(store, job_id, scene)
+    split: Split = "train" if record.job.split == "val" else "trainval"
+    return truth.cameras(split), truth.scene().background, truth
 
 
 def pictures(

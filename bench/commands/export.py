@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from econgs_bench.bench.commands.arguments import add_device, add_runs, add_stored, iterations
 from econgs_bench.bench.run.plugins import plugin_folders
-from econgs_bench.bench.saved import load, picture, truth_of
+from econgs_bench.bench.saved import load, picture, seen
 from econgs_bench.bench.store.store import Store, write_text
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.names import unknown
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from econgs_bench.datasets.camera import Camera
     from econgs_bench.datasets.scene import RGB
-    from econgs_bench.datasets.views import Split, ViewSet
+    from econgs_bench.datasets.views import ViewSet
     from econgs_bench.methods.gaussian_splatting.model import SceneGaussians
     from econgs_bench.methods.interface import Model
 
@@ -118,8 +118,8 @@ def _page(file: Path, options: Namespace) -> int:
 
     from econgs_bench.bench.jobs.measure import premultiplied
     from econgs_bench.bench.metrics import evaluate
-    from econgs_bench.bench.view.sent import part, sent
-    from econgs_bench.bench.view.sources import of_job, title_of
+    from econgs_bench.bench.view.beside import page_of
+    from econgs_bench.bench.view.sources import of_job
 
     store = Store(Path(options.runs))
     step(f"loading {options.model}")
@@ -129,18 +129,14 @@ def _page(file: Path, options: Namespace) -> int:
     if options.scene and options.scene not in opened.scenes:
         raise unknown("scene", options.scene, opened.scenes, of="this model")
     scenes = (options.scene,) if options.scene else opened.scenes
-    parts, tested = [], {}
-    for scene in scenes:
-        step(f"reading the Gaussians of {scene}")
-        cameras, background, tested[scene] = _seen(store, options.model, scene)
-        parts.append(part(opened, scene, cameras, background))
+    page = page_of(store, options.model, opened, scenes)
     step(f"writing {file}")
-    page = sent(opened, title_of(store, options.model), parts)
     file.parent.mkdir(parents=True, exist_ok=True)
     write_text(file, page.text)
     print(f"PSNR [dB] in up to {_MEASURED} test views; the page at 16 bits, drawn here")
     print(f"{'model, truth':>12} {'page, truth':>12} {'page, model':>12}")
-    for scene, views in tested.items():
+    for scene in scenes:
+        views = _seen(store, options.model, scene)[2]
         rows: list[list[float]] = []
         for camera, image in zip(views.cameras, views.images, strict=True):
             step(f"measuring {scene}", len(rows), len(views.cameras))
@@ -169,11 +165,9 @@ def _scene(options: Namespace, scenes: Sequence[str], model: Model) -> str:
 
 def _seen(store: Store, job: str, scene: str) -> tuple[Sequence[Camera], RGB, ViewSet]:
     """Cameras that a job's fit saw of a scene, its background, and the test views that are measured."""
-    record, truth = truth_of(store, job, scene)
-    split: Split = "train" if record.job.split == "val" else "trainval"
+    cameras, background, truth = seen(store, job, scene)
     count = len(truth.cameras("test"))
-    views = truth.views("test", range(0, count, max(1, -(-count // _MEASURED))))
-    return truth.cameras(split), truth.scene().background, views
+    return cameras, background, truth.views("test", range(0, count, max(1, -(-count // _MEASURED))))
 
 
 def _plain(

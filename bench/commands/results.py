@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from econgs_bench.bench.commands.arguments import FORMATS, add_runs, add_stored
+from econgs_bench.bench.commands.arguments import FORMATS, add_device, add_runs, add_stored
 from econgs_bench.bench.results.tables import build_tables
 from econgs_bench.bench.run.plugins import plugin_folders
 from econgs_bench.bench.store.store import Store
@@ -76,6 +76,13 @@ def report_arguments(parser: ArgumentParser) -> None:
         help="list the paper's claims: hold, do not, not decided, not measured",
     )
 
+    parser.add_argument(
+        "--models",
+        action="store_true",
+        help="make a page of each model of Gaussians, which its rows link to; small ones inside the report",
+    )
+    add_device(parser)
+
 
 def report(options: Namespace) -> int:
     """Print those of the paper's tables that a store has rows of, and write its HTML report."""
@@ -98,8 +105,17 @@ def report(options: Namespace) -> int:
         print_prose(documents.to_text(table))
     if not paper and (why := lacking(tables["results"])):
         print_prose(why)
+    models: dict[str, Path] = {}
+    if options.models:
+        from econgs_bench.bench.view.beside import write_pages
+
+        results = tables["results"]
+        jobs = results.loc[results["status"] == "ok", "job"].dropna()
+        models = write_pages(
+            store, jobs, page.parent, plugin_folders(options.plugins, store.root), options.device
+        )
     step(f"writing {page}")
-    write_report(tables, store.root, page, paper, contents)
+    write_report(tables, store.root, page, paper, contents, models)
     print_answers(contents)
     print(page)
     return 0

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import base64
+import gzip
 import hashlib
+import re
 from dataclasses import replace
 from html import escape
 from pathlib import Path
@@ -21,13 +23,16 @@ from econgs_bench.reports.style import absent, counted, label
 from econgs_bench.reports.text import markdown_cell, xml_text
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
     import pandas as pd
 
     from econgs_bench.reports.sections.paper.values import PaperTable
 
 _WEB = Path(__file__).parent / "web"
+MODEL_BYTES = 3_000_000
+"""Pages of models inside a report, together."""
+_SCRIPT = re.compile(rb"script-src ('sha256-[\w+/=]+')")
 _FEW_REMARKS = 4
 _LONG = 50  # characters from which a fact has a wide box
 
@@ -38,6 +43,7 @@ def write_report(
     out: Path,
     paper: Sequence[PaperTable] | None = None,
     report: Report | None = None,
+    models: Mapping[str, Path] | None = None,
 ) -> Path:
     """Write the report, its answers and tables as ``.md`` and ``.tex``, and the files of
     :func:`.reports.files.write_files`; panels go into ``charts/``.
@@ -48,6 +54,7 @@ def write_report(
         out: the HTML file.
         paper: the paper's tables of the same rows, if the caller has them.
         report: the same tables, if the caller has them so.
+        models: job of a row -> page of its model; small ones are put into the report.
 
     Returns:
         ``out``.
@@ -55,7 +62,10 @@ def write_report(
     report = report or Report(tables)
     paper = paper_tables(tables, report.views) if paper is None else paper
     folder = out.parent / "charts"
-    page = Page(report, family(report), paper, root, folder)
+    linked = {job: file.relative_to(out.parent).as_posix() for job, file in (models or {}).items()}
+    inside = _inside(out.parent, set(linked.values()))
+    packed = {name: _packed(text) for name, text in inside.items()}
+    page = Page(report, family(report), paper, root, folder, models=linked, inside=packed)
     parts: list[Section] = []
     with chart_files.output(folder) as write_charts:
         for section in sections(page):
@@ -71,11 +81,28 @@ def write_report(
         write_text(out.with_name("report.md"), "\n".join(texts))
         write_text(out.with_name("report.tex"), "\n".join(filter(None, map(to_latex, parts))))
         head = _head(name, report.measured, parts, [one.sentence for one in report.remarks])
-        write_text(out, xml_text(document(name, head, parts)))
+        write_text(out, xml_text(document(name, head, parts, held=inside.values())))
     return out
 
 
-def document(name: str, head: str, parts: Sequence[Section], *, folded: bool = True) -> str:
+def _packed(text: bytes) -> str:
+    return base64.b64encode(gzip.compress(text, 9, mtime=0)).decode()
+
+
+def _inside(folder: Path, names: Collection[str]) -> dict[str, bytes]:
+    """The smallest pages of models, as many as the report holds."""
+    size, inside = 0, {}
+    for name in sorted(names, key=lambda name: ((folder / name).stat().st_size, name)):
+        size += (folder / name).stat().st_size
+        if size > MODEL_BYTES:
+            break
+        inside[name] = (folder / name).read_bytes()
+    return inside
+
+
+def document(
+    name: str, head: str, parts: Sequence[Section], *, folded: bool = True, held: Iterable[bytes] = ()
+) -> str:
     """A page of sections.
 
     Args:
@@ -83,6 +110,7 @@ def document(name: str, head: str, parts: Sequence[Section], *, folded: bool = T
         head: HTML above the sections.
         parts: the sections.
         folded: whether those after the answers are closed at first.
+        held: pages that it opens, which browsers let run no script but what it may run itself.
     """
     body = "\n".join(
         f'<section aria-labelledby="{part.anchor}"><h2 id="{part.anchor}">{escape(part.title)}</h2>\n'
@@ -102,7 +130,7 @@ def document(name: str, head: str, parts: Sequence[Section], *, folded: bool = T
     css = (_WEB / "page.css").read_text(encoding="utf-8") + svg.theme()
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{_policy(code)}">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{_policy(code, held)}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(name)}</title>\n<style>\n{css}</style>\n</head>\n<body>\n"
         f'<a class="skip" href="#main">Skip to the content</a>\n<div class="page">\n<header>{head}</header>\n'
@@ -120,12 +148,15 @@ def _is_open(part: Section, parts: Sequence[Section]) -> bool:
     )
 
 
-def _policy(script: str) -> str:
-    """Content security policy: the browser runs this script only, and fetches nothing."""
+def _policy(script: str, held: Iterable[bytes] = ()) -> str:
+    """Content security policy: the browser runs this script and those of pages inside; it fetches nothing."""
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    others = {match[1].decode() for text in held if (match := _SCRIPT.search(text))}
+    scripts = " ".join([f"'sha256-{digest}'", *sorted(others)])
+    more = (" blob:", "worker-src blob:; ") if others else ("", "")
     return (
-        f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data:; "
-        "base-uri 'none'; form-action 'none'"
+        f"default-src 'none'; script-src {scripts}; style-src 'unsafe-inline'; img-src data:{more[0]}; "
+        f"{more[1]}base-uri 'none'; form-action 'none'"
     )
 
 

@@ -40,6 +40,8 @@ class Page:
         root: folder that the paths of pictures are relative to.
         folder: folder beside the page, for the files of pictures; None where no pictures are wanted.
         anchors: of the sections that are made already.
+        models: job of a row -> page of its model, relative to the report's.
+        inside: such a page -> its content, gzipped, in base64, for a report that holds it.
     """
 
     report: Report
@@ -48,6 +50,8 @@ class Page:
     root: Path = Path()
     folder: Path | None = None
     anchors: Collection[str] = ()
+    models: Mapping[str, str] = field(default_factory=dict)
+    inside: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

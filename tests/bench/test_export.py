@@ -98,6 +98,21 @@ def test_a_page_is_written_and_its_cost_told(store, tmp_path, capsys):
     assert list(tmp_path.iterdir()) == [file]
 
 
+def test_rows_of_a_report_link_to_their_models(store, tmp_path, capsys):
+    capsys.readouterr()
+    command = ["report", "--runs", str(store), "--out", str(tmp_path), "--models"]
+    assert main(command) == 0
+    pages = sorted((tmp_path / "models").iterdir())
+    encoded = {f"{record.job.id}.html" for record in Store(store).records() if record.job.kind == "encode"}
+    assert {page.name for page in pages} == encoded
+    report = (tmp_path / "report.html").read_text()
+    assert all(f"models/{name}" in report for name in encoded)
+    times = [page.stat().st_mtime_ns for page in pages]
+    assert main(command) == 0
+    assert [page.stat().st_mtime_ns for page in pages] == times, "they were written again"
+    assert "have no page" not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(("version", "viewer"), [(3, "plain"), (4, "antialiased")])
 def test_spz_says_for_whom_it_is(store, tmp_path, version, viewer):
     file = tmp_path / "core.spz"

@@ -99,6 +99,21 @@
     $("#count").textContent = count === rows.length ? `${count} rows` : `${count} of ${rows.length} rows`;
   }
 
+  // To the page of a model: a file beside this page, which may be inside, too.
+  function link(page) {
+    const one = document.createElement("a"), held = details.inside[page];
+    one.href = page;
+    one.target = "_blank";
+    one.textContent = "The model, to turn and edit";
+    if (held) one.addEventListener("click", async (event) => {
+      event.preventDefault();
+      const packed = new Blob([Uint8Array.from(atob(held), (letter) => letter.charCodeAt(0))]);
+      const text = await new Response(packed.stream().pipeThrough(new DecompressionStream("gzip"))).blob();
+      open(URL.createObjectURL(new Blob([text], { type: "text/html" })));
+    });
+    return one;
+  }
+
   function detail(row) {
     const line = document.createElement("tr");
     line.className = "detail";
@@ -117,6 +132,8 @@
       list.append(pair);
     });
     cell.append(list);
+    const model = details.models[word(details.rows[row.index][0])];
+    if (model) cell.append(link(model));
     row.button.setAttribute("aria-controls", line.id);
     return line;
   }

@@ -54,12 +54,11 @@ FILES = {
 
 def section(page: Page) -> Section | None:
     """The table with its controls, the meaning of its columns, and the unfinished runs."""
-    return (
-        None if page.folder is None else Section("results", "Results", html=_html(page.report), files=FILES)
-    )
+    return None if page.folder is None else Section("results", "Results", html=_html(page), files=FILES)
 
 
-def _html(report: Report) -> str:
+def _html(page: Page) -> str:
+    report = page.report
     results, means = _chosen(report.measured), report.means
     names = [n for n in numbers(results) if n in ("psnr", "size_bytes") or results[n].notna().any()]
     writer = _Rows(report, names)
@@ -81,13 +80,15 @@ def _html(report: Report) -> str:
         f'<button type="button" title="{escape(column.doc)}">{escape(column.header)}</button></th>'
         for column in columns
     )
+    details_of_rows = _interned(writer.details, list(writer.reasons))
+    details_of_rows |= {"models": page.models, "inside": page.inside}
     return (
         f"{_controls(results)}"
         '<div class="wide tall" role="region" tabindex="0" aria-label="Results">'
         '<table class="results"><caption>One row per scene and method; below them the means of the dataset. '
         "A row opens to show the origin of its numbers.</caption>"
         f"<thead><tr>{heads}</tr></thead>{''.join(bodies)}</table></div>"
-        f"{markup.data(_interned(writer.details, list(writer.reasons)), anchor='details')}"
+        f"{markup.data(details_of_rows, anchor='details')}"
         f"{_notes(report, names, writer)}{_floors(report)}{_failures(report)}"
     )
 

@@ -15,8 +15,10 @@ from econgs_bench.bench.view.sources import Opened
 from econgs_bench.datasets.camera_paths import training_cameras
 from econgs_bench.datasets.edits import Edit
 from econgs_bench.methods.gaussian_splatting.model import GaussianModel
+from econgs_bench.reports.page.document import write_report
 from tests.bench.view.conftest import CAMERAS, HOSTILE, harmonic, shaded
 from tests.bench.view.test_page import SOFTWARE, WHITE, Page, psnr
+from tests.reports.conftest import Maker
 from tests.reports.page.browser import executable
 
 pytestmark = pytest.mark.skipif(executable() is None, reason="no Chromium here")
@@ -111,6 +113,27 @@ def test_names_that_attack_are_text(page: Sent, tmp_path: Path) -> None:
     page.set("#scenes input[name=opacity]", 0.5)
     page.settled()
     assert psnr(page.pixels(), page.native({ATTACK: Edit(opacity=0.5)})) > 50.0
+
+
+def test_a_report_opens_the_pages_inside_it(page: Sent, tmp_path: Path) -> None:
+    maker = Maker(tmp_path)
+    for method in ("3dgs", "econgs"):
+        maker.run("fuel", "core", method)
+    page.show(tmp_path, opened(harmonic(ATTACK), "opacity"), ATTACK)
+    models = {"measure-0000": tmp_path / "page.html"}
+    report = write_report(maker.tables(), tmp_path, tmp_path / "report.html", models=models)
+    (tmp_path / "page.html").unlink()
+    page.open(report)
+    page.run("globalThis.open = (address) => { location.href = address; }")
+    page.run("for (const part of document.querySelectorAll('details')) part.open = true")
+    page.run("for (const row of document.querySelectorAll('tr.row.scene')) row.cells[0].click()")
+    assert page.run("document.querySelectorAll('tr.detail').length") == 2
+    assert page.run("document.querySelectorAll('tr.detail a').length") == 1
+    page.run("document.querySelector('tr.detail a').click()")
+    page.until("document.title.startsWith('<')")
+    page.settled()
+    assert page.run("document.title") == ATTACK
+    assert psnr(page.pixels(), page.native()) > 50.0
 
 
 def test_bytes_of_gaussians_take_four_thirds_of_them() -> None:
