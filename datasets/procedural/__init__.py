@@ -54,6 +54,7 @@ _FAMILIES: dict[str, Family] = {
     "ship_wake": Family(wake.VARIABLES, wake.ShipWake, wake.SIDES, 96),
     "supernova_like": Family(("supernova_like",), single.Supernova),
     "argon_bubble_like": Family(("argon_bubble_like",), single.ArgonBubble, (1.0, 0.4, 0.4), 96),
+    "turbulence": Family(("turbulence",), single.Turbulence),
     "extremes": Family(extremes.VARIABLES, extremes.Extremes, default=128),
     "beetle_like": Family(("beetle_like",), single.Beetle, (1.0, 1.0, 494 / 864), 96),
     **{

@@ -1,4 +1,4 @@
-"""Sets of one variable: supernova, argon bubble, beetle."""
+"""Sets of one variable: supernova, argon bubble, beetle, turbulence."""
 
 from __future__ import annotations
 
@@ -42,6 +42,19 @@ class ArgonBubble:
         shock = np.exp(-(((x - 0.33 + 0.25 * from_axis**2 + 0.006 * coarse) / 0.018) ** 2))
         bubble = np.exp(-((ring / 0.05) ** 2)) + 0.55 * np.exp(-(((cap - 0.10) / 0.03) ** 2))
         return {"argon_bubble_like": 0.04 + 0.28 * shock + 0.62 * np.minimum(bubble, 1.0)}
+
+
+class Turbulence:
+    """A ball of a scalar in turbulence: waves of 1 to 160 periods, whose energy falls as k^(-5/3)."""
+
+    def __init__(self, seed: int) -> None:
+        self._waves = Waves(seed * 29 + 1, 1.0, 160.0, count=768)
+
+    def __call__(self, at: Slice) -> dict[str, Array]:
+        """Values in 0...1, with a mean of 0.5 inside the ball."""
+        radius = np.sqrt(at.columns**2 + at.rows**2 + at.z**2)
+        ball = 1.0 - smoothstep(radius, 0.36, 0.48)
+        return {"turbulence": (0.5 + 0.17 * self._waves(at)) * ball}
 
 
 class Beetle:

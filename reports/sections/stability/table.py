@@ -26,7 +26,7 @@ COMPLEXITY = {
 """Columns drawn over what a scene holds, and the titles of their axes."""
 LEAST_FAMILY = 3
 """So many datasets of one family are drawn as a curve."""
-_NUMBERED = re.compile(r"(.*?)[_-]?(\d+)")
+_NUMBERED = re.compile(r"([^@]*?)[_-]?(\d+)")  # a number after @ is of the grid
 
 
 @dataclass(frozen=True)

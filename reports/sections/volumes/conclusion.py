@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
+from econgs_bench.reports.charts.lines import Line
 from econgs_bench.reports.fronts import interpolated
-from econgs_bench.reports.style import MIB, MISSING, absent, mib
+from econgs_bench.reports.style import MIB, MISSING, Model, absent, mib
 
 if TYPE_CHECKING:
     from econgs_bench.reports.curves import Curve
 
+_GRID = re.compile(r"(.+)@(\d+)")
 VOLUMES = ("sz3", "zfp")
 """Methods that store the volume itself."""
 HEADS = (
@@ -100,14 +104,64 @@ def memory_and_times(curve: Curve) -> tuple[list[float], list[float]]:
     return [memory for memory, _ in both], [time for _, time in both]
 
 
-def conclusion(found: Sequence[Payoff]) -> str:
-    """Which models are smaller than a volume that is as good, by dataset and volume."""
-    sentences = []
+def over_grids(found: Sequence[Payoff]) -> dict[str, list[Line]]:
+    """Bytes of models over those of the volume at equal PSNR, where a field is measured on several grids.
+
+    Returns:
+        Field and volume -> a line per model over N of datasets "field@N". What the volume's curve does not
+        reach is left out.
+    """
+    spots: dict[tuple[str, Model], list[tuple[float, float]]] = {}
+    for one in found:
+        if (grid := _GRID.match(one.dataset)) and not one.bound:
+            line = spots.setdefault((f"{grid[1]}, {one.volume.title}", one.model.model), [])
+            line.append((float(grid[2]), one.bytes / one.needed))
+    panels: dict[str, list[Line]] = {}
+    for (title, model), own in spots.items():
+        if len(own) > 1:
+            x, y = zip(*sorted(own), strict=True)
+            panels.setdefault(title, []).append(Line(model, model.title, list(x), list(y)))
+    return panels
+
+
+def growth(title: str, lines: Sequence[Line]) -> str:
+    """From which grid on models are smaller than the volume, and how many of them weigh as much as it."""
+    parts = []
+    for line in sorted(lines, key=lambda line: line.y[-1]):
+        if line.y[-1] >= 1.0:
+            parts.append(f"{line.title} on none")
+        elif (least := _crossing(line)) is None:
+            parts.append(f"{line.title} on all")
+        else:
+            parts.append(f"{line.title} from about {least:,.0f}\N{SUPERSCRIPT THREE} on")
+    best = min(lines, key=lambda line: line.y[-1])
+    count = f"{1.0 / best.y[-1]:.1f}" if best.y[-1] < 1.0 else "less than one"
+    return (
+        f"{title}: smaller at equal PSNR, of grids from {lines[0].x[0]:,.0f}\N{SUPERSCRIPT THREE} to "
+        f"{lines[0].x[-1]:,.0f}\N{SUPERSCRIPT THREE}: {', '.join(parts)}. The volume serves every transfer "
+        f"function; on the largest grid it weighs as much as {count} of {best.title}, each of one."
+    )
+
+
+def _crossing(line: Line) -> float | None:
+    """Where a line falls below 1 for good, linear in the logarithms; None if it is never above."""
+    for (a, high), (b, low) in reversed(list(pairwise(zip(line.x, line.y, strict=True)))):
+        if high >= 1.0:
+            return a * (b / a) ** (math.log(high) / math.log(high / low))
+    return None
+
+
+def conclusion(found: Sequence[Payoff]) -> list[str]:
+    """Which models are smaller than a volume that is as good, by dataset or field, and volume."""
+    panels = over_grids(found)
+    fields = {title.partition(",")[0] for title in panels}
+    found = [one for one in found if not ((grid := _GRID.match(one.dataset)) and grid[1] in fields)]
+    sentences = [growth(title, lines) for title, lines in panels.items()]
     for dataset, volume in dict.fromkeys((one.dataset, one.volume.title) for one in found):
         rows = [one for one in found if (one.dataset, one.volume.title) == (dataset, volume)]
         paying = ", ".join(one.model.title for one in rows if one.pays)
         sentences.append(f"{dataset}: {paying or 'no model'} smaller than the {volume} at equal PSNR.")
-    return " ".join(sentences)
+    return sentences
 
 
 def row(one: Payoff) -> list[str]:

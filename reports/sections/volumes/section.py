@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+from econgs_bench.reports.charts.lines import lines
 from econgs_bench.reports.sections.section import Page, Section
-from econgs_bench.reports.sections.volumes.conclusion import HEADS, conclusion, payoffs, row
+from econgs_bench.reports.sections.volumes.conclusion import (
+    HEADS,
+    conclusion,
+    over_grids,
+    payoffs,
+    row,
+)
 from econgs_bench.reports.tables.table import Table
 
+_GRID, _RATIO = "grid [N³]", "bytes of the model / bytes of the volume at equal PSNR"
 _WORDS = (
     "The compressed volume is drawn by the ray marcher that drew the ground truth: its error is that of the "
     "compression alone, which favours it. It takes every other transfer function without more bytes, and "
@@ -18,5 +26,7 @@ def section(page: Page) -> Section | None:
     found = payoffs(page.report.curves)
     if not found:
         return None
+    panels = over_grids(found)
+    charts = {"payoff": lines(panels, _GRID, _RATIO, page.report.models, log_y=True)} if panels else {}
     table = Table("Models and the volume at equal PSNR", HEADS, [row(one) for one in found])
-    return Section("volumes", "When does a model pay", [conclusion(found)], _WORDS, tables=[table])
+    return Section("volumes", "When does a model pay", conclusion(found), _WORDS, charts, [table])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ from econgs_bench.reports.report import Report
 from econgs_bench.reports.sections.order import family
 from econgs_bench.reports.sections.section import Page, to_html
 from econgs_bench.reports.sections.tradeoffs.table import tradeoffs
-from econgs_bench.reports.sections.volumes.conclusion import payoffs
+from econgs_bench.reports.sections.volumes.conclusion import conclusion, over_grids, payoffs
 from econgs_bench.reports.sections.volumes.section import section
 from econgs_bench.reports.style import Model
 
@@ -116,3 +118,41 @@ def test_every_chart_of_quality_keeps_models_apart_beside_the_volume(maker):
         assert (min(drawn), max(drawn)) == (25.0, 97.0)
         assert all(0 < axis.share(value) < 1 for value in drawn)
         assert axis.share(31.0) - axis.share(30.0) > 0.08
+
+
+def grids(method, ratios):
+    """A model of 30 dB on each grid, whose bytes are so many times those of the volume."""
+    return {
+        f"field@{n}": [
+            replace(VOLUME, dataset=f"field@{n}"),
+            replace(curve(method, [ratio * 10**3.5], [30.0]), dataset=f"field@{n}"),
+        ]
+        for n, ratio in ratios.items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("ratios", "says"),
+    [
+        ({64: 4.0, 128: 0.25}, "3DGS from about 91³ on"),
+        ({64: 0.5, 128: 2.0, 256: 0.5}, "3DGS from about 181³ on"),
+        ({64: 0.5, 128: 0.25}, "3DGS on all"),
+        ({64: 8.0, 128: 2.0}, "3DGS on none"),
+    ],
+)
+def test_from_which_grid_on_a_model_is_smaller_than_the_volume(ratios, says):
+    (sentence,) = conclusion(payoffs(grids("3dgs", ratios)))
+    assert says in sentence
+    least, most = min(ratios), max(ratios)
+    assert f"field, SZ3 volume: smaller at equal PSNR, of grids from {least}³ to {most}³" in sentence
+    count = f"{1 / ratios[most]:.1f}" if ratios[most] < 1 else "less than one"
+    assert f"it weighs as much as {count} of 3DGS" in sentence
+    ((title, [line]),) = over_grids(payoffs(grids("3dgs", ratios))).items()
+    assert (title, line.x, line.y) == ("field, SZ3 volume", sorted(ratios), pytest.approx([*ratios.values()]))
+
+
+def test_a_grid_alone_and_what_the_curve_does_not_reach_make_no_line():
+    assert over_grids(payoffs(grids("3dgs", {64: 2.0}))) == {}
+    far = grids("3dgs", {64: 2.0, 128: 1.0})
+    far["field@128"][1] = replace(curve("3dgs", [1e3], [95.0]), dataset="field@128")
+    assert over_grids(payoffs(far)) == {}
