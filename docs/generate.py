@@ -9,7 +9,7 @@ them make one report. The kinds and their keys:
 ``verdict``  a section of the report: its conclusion, its table and its conditions
     section  a name of SECTIONS
     where    a query of the rows that it sees
-    table    false: the conclusion alone
+    show     "conclusion" or "table": that alone
 ``table``    means of the table ``results``
     where    a query; default: BY_ITSELF
     rows     columns that a row stands for; "model": the method with its options
@@ -167,12 +167,13 @@ def verdict(block: dict[str, Any]) -> str:
         raise SystemExit(f"nothing of the kind for {block}")
     many = name == "ladders"
     answer = "\n".join(f"- {each}" for each in section.answer) if many else f"**{' '.join(section.answer)}**"
-    if not block.get("table", True):
+    shown = block.get("show", "")
+    if shown == "conclusion":
         return f"{answer}\n"
     line = conditions(report.measured, columns=COLUMNS.get(name, ("psnr",)))
     (table,) = section.tables
     rows = [[f"**{head}**", *cells] for head, *cells in table.rows] if name == "answers" else table.rows
-    return f"{answer}\n\n{markdown(table.heads, rows)}\n{line}"
+    return ("" if shown == "table" else f"{answer}\n\n") + f"{markdown(table.heads, rows)}\n{line}"
 
 
 @cache

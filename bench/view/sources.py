@@ -391,10 +391,11 @@ def of_job(store: Store, job_id: str, plugins: Sequence[str], device: str) -> Op
     method, scenes, size, model = load(store, job_id, folders, device)
     spec = Registry(folders).spec(method)
     names = [name for name in model.scenes if name in scenes] or list(model.scenes)
-    record, truth = truth_of(store, job_id, names[0])
+    stored = {name: truth_of(store, job_id, name) for name in names}
+    record, truth = stored[names[0]]
     if record.job.stress:
         raise DataError(job_id, f"is a model under stress ({record.job.stress})", "View one without stress")
-    definitions = {name: truth_of(store, job_id, name)[1].scene() for name in names}
+    definitions = {name: own.scene() for name, (_, own) in stored.items()}
     first = definitions[names[0]]
     drawer: Drawer
     if first.views_folder is None:
