@@ -60,7 +60,7 @@ def _choose(page: Browser, control: str, value: object) -> None:
 
 
 def _measure(page: Browser, seconds: float) -> tuple[float, float, float]:
-    """Frames a second of a drag, their share of the size at its end, and seconds from its end to full quality."""
+    """Frames a second of a drag, their last share of the size, and seconds from its end to full quality."""
     x, y = page.run(
         "(() => { const r = document.getElementById('canvas').getBoundingClientRect();"
         "return [r.x + r.width / 2, r.y + r.height / 2]; })()"
