@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from econgs_bench.reports.floors import Floor, of_row
 from econgs_bench.reports.fronts import pareto
 from econgs_bench.reports.schema import records
-from econgs_bench.reports.style import MIB, Model, absent, mean_key, model
+from econgs_bench.reports.style import Model, absent, mean_key, model
 from econgs_bench.reports.tables.means import summary
 from econgs_bench.reports.tables.protocols import comparable, shared_by_all
 
@@ -60,11 +59,6 @@ class Curve:
     def title(self) -> str:
         """What it is called."""
         return self.model.title
-
-    @property
-    def mebibytes(self) -> list[float]:
-        """Sizes of the points, as charts show them."""
-        return [point.bytes / MIB for point in self.points]
 
     @property
     def spots(self) -> list[tuple[float, float]]:
@@ -119,12 +113,6 @@ class Curve:
     @property
     def _beaten(self) -> int:
         return len(self.points) - len(self.front)
-
-
-def floor_of(curves: Iterable[Curve]) -> Floor | None:
-    """The noise floor of the truth that curves of one panel are measured on, mean over its scenes."""
-    known = (of_row(point.row) for curve in curves for point in curve.points)
-    return next((one for one in known if one is not None), None)
 
 
 def at_default_rates(table: pd.DataFrame) -> pd.DataFrame:

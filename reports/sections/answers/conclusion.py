@@ -285,37 +285,6 @@ def _closeness(contest: Contest, pair: Sequence[Cells]) -> str:
     return f"; {near}" if near else ""
 
 
-def standing(data: Mapping[str, Iterable[Answer]], method: str) -> str:
-    """What one method wins, and where it is tied for first, for people.
-
-    Args:
-        data: title of some data -> the answers there (:func:`answers`).
-        method: its name.
-    """
-    won: dict[str, list[str]] = {}
-    first: dict[str, list[str]] = {}
-    ahead: dict[str, list[str]] = {}
-    level: dict[str, list[str]] = {}
-    for title, given in data.items():
-        for answer in given:
-            if answer.winner == method:
-                found = first if answer.title in (ROBUST, EDITABLE) else won
-                found.setdefault(answer.title, []).append(title)
-            elif method in answer.level:
-                found = ahead if answer.level[0] == method else level
-                found.setdefault(answer.title, []).append(title)
-    parts = []
-    for words, found in (
-        ("Wins", won),
-        ("First (no test)", first),
-        ("First (not significant)", ahead),
-        ("Tied for first", level),
-    ):
-        names = ", ".join(f"{title} ({', '.join(where)})" for title, where in found.items())
-        parts += [f"{words}: {names}."] if names else []
-    return " ".join(parts) or "First nowhere."
-
-
 def _by_scene(cells: Mapping[str, Cells]) -> list[dict[str, float]]:
     """Per scene the methods' means over seeds; all methods have the same scenes."""
     some = next(iter(cells.values()))

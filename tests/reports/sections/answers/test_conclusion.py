@@ -17,7 +17,6 @@ from econgs_bench.reports.sections.answers.conclusion import (
     ROBUST,
     compare,
     scope,
-    standing,
 )
 from econgs_bench.reports.sections.answers.contest import contests
 from econgs_bench.reports.sections.ladders.table import ladders
@@ -266,7 +265,6 @@ def test_a_winner_leads_every_other_method_significantly():
     assert answer.sentence.startswith(
         "No winner among a and c: a, 31.00 dB, is 1.90 dB higher than c (29.10 dB"
     )
-    assert standing({"views": [answer]}, "b") == "First nowhere."
 
 
 def test_stale_rows_are_counted():
@@ -377,19 +375,6 @@ def test_a_failed_fit_holds_nothing() -> None:
 def test_without_two_methods_on_a_ladder_the_worst_case_decides() -> None:
     assert "behind" in robust(climb("a", 30.0, 20.0)).sentence
     assert "behind" in robust(climb("a", 30.0, 20.0, preset="other"), climb("b", 30.0, 20.0)).sentence
-
-
-def test_the_standing_of_a_method_names_what_it_wins_and_what_it_shares():
-    won = [measured(PICTURE, contest(*pair([1.0, 1.5, 0.7, 1.2])))]
-    open_ = [measured(PICTURE, contest(*pair([-3.0, 3.1, 3.0, -2.9])))]
-    assert open_[0].level == ("a", "b")
-    both = "Wins: Best picture (views). First (not significant): Best picture (volumes)."
-    assert standing({"views": won, "volumes": open_}, "a") == both
-    assert standing({"volumes": open_}, "b") == "Tied for first: Best picture (volumes)."
-    assert standing({"views": won}, "b") == "First nowhere."
-    assert standing({"views": won, "others": won}, "a") == "Wins: Best picture (views, others)."
-    robust = [of(answers(contest(*pair([3.0])), table(*pair([3.0])), NO_LADDERS), ROBUST)]
-    assert standing({"views": robust}, "a") == "First (no test): Most robust (views)."
 
 
 def drawings(method="plenoxels", **drawn):

@@ -105,7 +105,12 @@ def test_every_chart_of_quality_keeps_models_apart_beside_the_volume(maker):
     report = Report(maker.tables())
     size = tradeoffs(report.at_shared_seeds, "size_bytes")
     curves = [
-        Line(curve.model, curve.title, curve.mebibytes, [point.psnr for point in curve.points])
+        Line(
+            curve.model,
+            curve.title,
+            [size / 2**20 for size, _ in curve.spots],
+            [psnr for _, psnr in curve.spots],
+        )
         for curve in report.curves["vortex"]
     ]
     charts = [
