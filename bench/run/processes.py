@@ -136,10 +136,16 @@ class Processes:
 
     @contextlib.contextmanager
     def adopting(self) -> Iterator[None]:
-        """For as long as this lasts, orphans of workers become children of this process (on Linux)."""
+        """For as long as this lasts, orphans of workers become children of this process (on Linux).
+
+        Those that are left at its end are ended: nobody would wait for them later.
+        """
         self._before = {child.pid for child in psutil.Process().children(recursive=True)}
         with orphans.adopting():
-            yield
+            try:
+                yield
+            finally:
+                self.end_leftovers()
 
     def end_leftovers(self) -> list[str]:
         """Kill what a worker that has ended left running: names and process ids, for people.

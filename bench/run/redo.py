@@ -327,7 +327,6 @@ def _run(folder: Path, limit: Limit, memory: Limit) -> tuple[int | None, str]:
             if process.poll() is None:
                 end_session(process.pid)
                 process.wait()
-            processes.end_leftovers()
 
 
 # --------------------------------------------------------------------------- the process

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import psutil
 import pytest
 
 from econgs_bench.bench.machine.provenance import imports_torch
@@ -53,6 +54,16 @@ def test_a_server_that_died_is_started_again(processes, tmp_path) -> None:
         processes.server.wait()
     assert _fork(processes, tmp_path).wait() == 1
     assert processes.server.pid != first
+
+
+def test_a_worker_whose_server_is_gone_is_waited_for(processes, tmp_path) -> None:
+    before = {one.pid for one in psutil.Process().children(recursive=True)}
+    with processes.adopting():
+        worker = _fork(processes, tmp_path)
+        processes.close()
+        assert psutil.pid_exists(worker.pid), "it has nobody who waits for it"
+    left = [one for one in psutil.Process().children(recursive=True) if one.pid not in before]
+    assert not left
 
 
 def test_without_a_server_workers_have_interpreters_of_their_own(processes, tmp_path, monkeypatch) -> None:
