@@ -21,7 +21,7 @@ def test_every_dataset_of_a_suite_is_known_and_what_is_missing_has_a_stand_in_or
     suite = load_suite(name)
     assert _members(suite.datasets) <= {info.name for info in list_datasets()}
     without = _members(suite.present(BUILT_IN))
-    if name not in ("real-volumes", "tuning", "unseen-data", "unstructured"):
+    if name not in ("tuning", "unseen-data", "unstructured"):
         assert without, "nothing to run without data"
         assert without <= BUILT_IN
     assert suite.preset == {"stability": "small"}.get(name, "quick") or name == "datasets"
