@@ -19,6 +19,7 @@ from econgs_bench.reports.report import Report
 from econgs_bench.reports.sections.order import family, first
 from econgs_bench.reports.sections.section import Page, Section
 from econgs_bench.reports.style import TITLES, counted
+from econgs_bench.reports.tables.documents import to_json
 from econgs_bench.reports.tables.table import html_table
 from econgs_bench.reports.text import xml_text
 
@@ -175,7 +176,7 @@ def _report(folder: Path, tables: dict[str, pd.DataFrame], views: Mapping[str, i
     """A report without pictures, and its results as JSON."""
     folder.mkdir(parents=True, exist_ok=True)
     rows = with_division(tables["results"], views)
-    write_text(folder / "results.json", rows.to_json(orient="records", indent=1, double_precision=15) + "\n")
+    write_text(folder / "results.json", to_json(rows))
     write_report(tables, folder, folder / "index.html")
 
 

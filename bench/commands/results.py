@@ -173,7 +173,9 @@ def print_as(table: pd.DataFrame, form: str) -> None:
 
         sys.stdout.write(to_csv(table))
     elif form == "json":
-        print(table.to_json(orient="records", indent=1, double_precision=15))
+        from econgs_bench.reports.tables.documents import to_json
+
+        sys.stdout.write(to_json(table))
     else:
         from econgs_bench.reports.tables import documents
         from econgs_bench.reports.tables.protocols import by_protocol

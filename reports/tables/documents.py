@@ -25,6 +25,11 @@ Marks = Mapping[tuple[Any, str], int]
 """(row index, column) -> place."""
 
 
+def to_json(table: pd.DataFrame) -> str:
+    """All columns as a JSON list of rows, numbers in full."""
+    return f"{table.to_json(orient='records', indent=1, double_precision=15)}\n"
+
+
 def to_csv(table: pd.DataFrame) -> str:
     """All columns with raw values, texts as :func:`.reports.text.csv_cell`; a missing value is empty.
 
