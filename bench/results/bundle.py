@@ -50,7 +50,7 @@ _DAMAGE = (
 figures beyond all ranges do."""
 _REVISED = {"scenes_together"}
 """Columns that follow from the records by another rule than when older bundles were written."""
-_LONG = {"features", "losses", "scenes", "rung_views"}
+_LONG = {"features", "losses", "scenes", "views", "rung_views"}
 """Tables that take more room than all others and that nobody reads as CSV; records hold them too."""
 _PIECE = 2**20
 
