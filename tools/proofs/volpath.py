@@ -2,8 +2,8 @@
 
 python -m tools.proofs.volpath [--resolution N] [--size N] [--samples N]
 
-Mitsuba 3.9 has no media that emit, so what its ``volpath`` and the ground truth share is absorption: in front of
-a white environment, an absorbing medium shows what passes, 1 - alpha. It interpolates extinctions, the ground
+Mitsuba 3.9 has no media that emit, so what its ``volpath`` and the ground truth share is absorption: before a
+white environment, an absorbing medium shows what passes, 1 - alpha. It interpolates extinctions, the ground
 truth values: the finer the grid of extinctions, the less they differ.
 """
 
