@@ -270,7 +270,9 @@ class Runs:
     @property
     def remarks(self) -> list[str]:
         """What is not compared in answers, means and charts, and why; `tables["differences"]` lists it."""
-        return [one.sentence for one in self._report.remarks]
+        from econgs_bench.reports.comparability import sentences
+
+        return sentences(self._report.remarks)
 
     @cached_property
     def _report(self) -> Report:

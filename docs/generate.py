@@ -10,6 +10,7 @@ them make one report. The kinds and their keys:
     section  a name of SECTIONS
     where    a query of the rows that it sees
     show     "conclusion" or "table": that alone
+    lines    first cells of the rows that the table has; default: all
 ``table``    means of the table ``results``
     where    a query; default: BY_ITSELF
     rows     columns that a row stands for; "model": the method with its options
@@ -172,7 +173,9 @@ def verdict(block: dict[str, Any]) -> str:
         return f"{answer}\n"
     line = conditions(report.measured, columns=COLUMNS.get(name, ("psnr",)))
     (table,) = section.tables
-    rows = [[f"**{head}**", *cells] for head, *cells in table.rows] if name == "answers" else table.rows
+    lines = block.get("lines", [head for head, *_ in table.rows])
+    kept = [row for row in table.rows if row[0] in lines]
+    rows = [[f"**{head}**", *cells] for head, *cells in kept] if name == "answers" else kept
     return ("" if shown == "table" else f"{answer}\n\n") + f"{markdown(table.heads, rows)}\n{line}"
 
 

@@ -573,11 +573,6 @@ class Remark(NamedTuple):
     kind: str = ""
     rows: int = 0
 
-    @property
-    def sentence(self) -> str:
-        """The sentence with its dataset."""
-        return f"{self.dataset}: {self.text}"
-
 
 def remarks(results: pd.DataFrame, superseded: pd.DataFrame | None = None) -> list[Remark]:
     """What is not compared, counted by dataset and reason; unequal seeds and scenes.
@@ -621,21 +616,32 @@ def begins(title: str, dataset: str) -> bool:
     return rest != title and (not rest or not (rest[0].isalnum() or rest[0] in "_-[@"))
 
 
+def sentences(found: Iterable[Remark]) -> list[str]:
+    """The sentences; what holds of several datasets alike is one."""
+    datasets: dict[str, list[str]] = defaultdict(list)
+    for one in found:
+        datasets[one.text].append(one.dataset)
+    return [
+        f"{', '.join(names) if len(names) <= _MOST_NAMED else counted(len(names), 'dataset')}: {text}"
+        for text, names in datasets.items()
+    ]
+
+
 def summary(found: Iterable[Remark]) -> str:
     """All remarks in a line: rows counted over datasets, without the details; "" without remarks."""
     counts: dict[tuple[str, str], int] = defaultdict(int)
-    texts = []
+    others = []
     for one in found:
         if one.rows:
             counts[one.kind, one.quantity] += one.rows
         else:
-            texts.append(one.sentence)
+            others.append(one)
     kinds: dict[str, list[str]] = defaultdict(list)
     for (kind, quantity), count in counts.items():
         name = "all values" if quantity == ROW else by_name(quantity).title or quantity
         kinds[kind].append(f"{name} of {counted(count, 'row')}")
     parts = [f"{', '.join(what)} ({kind})" for kind, what in kinds.items()]
-    return " ".join([*([f"Not compared: {'; '.join(parts)}."] if parts else []), *texts])
+    return " ".join([*([f"Not compared: {'; '.join(parts)}."] if parts else []), *sentences(others)])
 
 
 def replaced(superseded: pd.DataFrame | None) -> str:
@@ -660,7 +666,7 @@ def notes(results: pd.DataFrame, superseded: pd.DataFrame | None = None) -> list
     """All :func:`remarks` as sentences; none for other tables than `results`."""
     if "differences" not in results:
         return []
-    return [one.sentence for one in remarks(results, superseded)]
+    return sentences(remarks(results, superseded))
 
 
 def _by_dataset(table: pd.DataFrame) -> dict[str, list[dict[str, Any]]]:

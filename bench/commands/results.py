@@ -123,6 +123,7 @@ def report(options: Namespace) -> int:
 
 def print_answers(contents: Report) -> None:
     """Print who is best at what, who leads races, and what is not compared."""
+    from econgs_bench.reports.comparability import sentences
     from econgs_bench.reports.sections.answers import contest
     from econgs_bench.reports.sections.answers.conclusion import to_text
     from econgs_bench.reports.sections.order import answers, family
@@ -134,7 +135,7 @@ def print_answers(contents: Report) -> None:
         print("Nothing is ranked: no two methods have the same scenes under the same conditions.")
     for sentence in races.conclusion(races.of_report(contents), family(contents)):
         print_prose(sentence)
-    _print_differences([one.sentence for one in contents.remarks], contents.stored["differences"], sys.stdout)
+    _print_differences(sentences(contents.remarks), contents.stored["differences"], sys.stdout)
 
 
 def report_damage(store: Store) -> None:

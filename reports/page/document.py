@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from econgs_bench.reports.charts import files as chart_files
 from econgs_bench.reports.charts import svg
+from econgs_bench.reports.comparability import sentences
 from econgs_bench.reports.files import write_files, write_text
 from econgs_bench.reports.report import Report
 from econgs_bench.reports.sections.order import family, first, sections
@@ -80,7 +81,7 @@ def write_report(
         texts = [f"# {markdown_cell(name)}\n", *filter(None, map(to_markdown, parts))]
         write_text(out.with_name("report.md"), "\n".join(texts))
         write_text(out.with_name("report.tex"), "\n".join(filter(None, map(to_latex, parts))))
-        head = _head(name, report.measured, parts, [one.sentence for one in report.remarks])
+        head = _head(name, report.measured, parts, sentences(report.remarks))
         write_text(out, xml_text(document(name, head, parts, held=inside.values())))
     return out
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from econgs_bench.reports.charts.chart import Chart
-from econgs_bench.reports.comparability import PARTS, Remark, begins, concerning, fixed_rays
+from econgs_bench.reports.comparability import PARTS, Remark, begins, concerning, fixed_rays, sentences
 from econgs_bench.reports.curves import at_default_rates
 from econgs_bench.reports.schema import records
 from econgs_bench.reports.sections.section import Section
@@ -62,7 +62,7 @@ def _note(name: str, chart: Chart, remarks: Sequence[Remark], rows: Sequence[Map
     drawn = {one for one in datasets if any(begins(title, one) for title in titles)}
     rays = fixed_rays(row for row in rows if not drawn or row["dataset"] in drawn)
     found = concerning(remarks, titles if drawn else None, ("psnr", *clocks))
-    texts = [one.sentence for one in found]
+    texts = sentences(found)
     more = [f"The page has {counted(len(texts) - _MOST, 'more remark')}."] if len(texts) > _MOST else []
     parts = [chart.note, rays and f"Ground truth: {rays}.", *texts[:_MOST], *more]
     return " ".join(filter(None, parts))

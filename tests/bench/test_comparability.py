@@ -20,7 +20,7 @@ from econgs_bench.bench.store.lineage import Lineage
 from econgs_bench.bench.store.store import Store
 from econgs_bench.methods.registry import Registry
 from econgs_bench.reports.charts import svg
-from econgs_bench.reports.comparability import kind_of
+from econgs_bench.reports.comparability import kind_of, sentences
 from econgs_bench.reports.page.document import write_report
 from econgs_bench.reports.report import Report
 from econgs_bench.reports.schema import records
@@ -219,7 +219,7 @@ def test_charts_give_the_reason(planted) -> None:
 def test_the_papers_tables_give_the_reason(planted) -> None:
     case, _, report = planted
     papers = [one for one in paper_tables(report.stored, report.views) if one.name == "univariate"]
-    apart = [one.sentence for one in report.remarks if one.quantity == "dataset"]
+    apart = sentences(one for one in report.remarks if one.quantity == "dataset")
     blocks = [block for paper in papers for block in paper.blocks]
     if all(len([row for row in block.rows if row.jobs]) < 2 for block in blocks):
         return  # the rows are in no table together
