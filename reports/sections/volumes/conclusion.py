@@ -147,7 +147,7 @@ def _crossing(line: Line) -> float | None:
     """Where a line falls below 1 for good, linear in the logarithms; None if it is never above."""
     for (a, high), (b, low) in reversed(list(pairwise(zip(line.x, line.y, strict=True)))):
         if high >= 1.0:
-            return a * (b / a) ** (math.log(high) / math.log(high / low))
+            return float(a * (b / a) ** (math.log(high) / math.log(high / low)))
     return None
 
 
