@@ -618,13 +618,7 @@ def begins(title: str, dataset: str) -> bool:
 
 def sentences(found: Iterable[Remark]) -> list[str]:
     """The sentences; what holds of several datasets alike is one."""
-    datasets: dict[str, list[str]] = defaultdict(list)
-    for one in found:
-        datasets[one.text].append(one.dataset)
-    return [
-        f"{', '.join(names) if len(names) <= _MOST_NAMED else counted(len(names), 'dataset')}: {text}"
-        for text, names in datasets.items()
-    ]
+    return _merged(((one.dataset, one.text) for one in found), "dataset")
 
 
 def summary(found: Iterable[Remark]) -> str:
@@ -730,11 +724,15 @@ _MOST_NAMED = 4
 
 def _grouped(texts: Mapping[str, str]) -> str:
     """As "A, B: text; C: other text"."""
+    return "; ".join(_merged(texts.items(), "model"))
+
+
+def _merged(pairs: Iterable[tuple[str, str]], noun: str) -> list[str]:
+    """Names and texts as "A, B: text"; of many names with one text their number."""
     groups: dict[str, list[str]] = defaultdict(list)
-    for name, text in texts.items():
+    for name, text in pairs:
         groups[text].append(name)
-    parts = []
-    for text, names in groups.items():
-        who = ", ".join(names) if len(names) <= _MOST_NAMED else f"{len(names)} models"
-        parts.append(f"{who}: {text}")
-    return "; ".join(parts)
+    return [
+        f"{', '.join(names) if len(names) <= _MOST_NAMED else counted(len(names), noun)}: {text}"
+        for text, names in groups.items()
+    ]

@@ -75,7 +75,6 @@ def report_arguments(parser: ArgumentParser) -> None:
         action="store_true",
         help="list the paper's claims: hold, do not, not decided, not measured",
     )
-
     parser.add_argument(
         "--models",
         action="store_true",
