@@ -52,7 +52,7 @@ class Editable:
 
     def __init__(self, name: str, dataset: Dataset) -> None:
         self.dataset = dataset
-        base, path = name.partition("@")[0], Path(name).expanduser()
+        (base, _, at), path = name.partition("@"), Path(name).expanduser()
         self._table: Table = {}
         self._folders = [Path.cwd(), *entries.data_folders()]
         if base in entries.names():
@@ -60,6 +60,9 @@ class Editable:
         elif path.suffix == ".toml":
             self._table = read_entry(path)
             self._folders = [path.resolve().parent, *entries.data_folders()]
+        if self._table.get("kind") == "procedural":
+            made = {"field": self._table.get("field", base)} | ({"resolution": int(at)} if at else {})
+            self._table = {key: one for key, one in self._table.items() if key != "dims"} | made
         maps = {one["name"]: one for one in self._table.get("scenes", []) if "transfer" in one}
         self._maps = {one["transfer"] for one in maps.values()}
         self.tables = [table_of(scene, maps.get(scene.name)) for scene in dataset.scenes]
@@ -124,9 +127,10 @@ class Editable:
             The text of the file.
 
         Raises:
-            DataError: the dataset consists of no files, or the file exists or cannot be written.
+            DataError: several datasets are joined, or the file exists or cannot be written.
         """
-        files = [self._file(variable, path.parent) for variable in self.dataset.volumes]
+        made = self._table.get("kind") == "procedural"
+        files = [] if made else [self._file(variable, path.parent) for variable in self.dataset.volumes]
         given = {one["name"]: one for one in tables if "transfer" in one}
         written = [table_of(scene, given.get(scene.name)) for scene in scenes]
         for table in written:
@@ -139,16 +143,17 @@ class Editable:
             if name != "all" and names.issuperset(parts)
         }
         frame = self.dataset.frame
-        if frame is None:
+        place: Table = {}
+        if frame is None and not made:
             radius = 0.5 * max(
                 float(np.linalg.norm(self.dataset.volume(one).extent)) for one in self.dataset.volumes
             )
-            place: Table = {"centre": [0.0, 0.0, 0.0], "radius": radius}
-        else:
+            place = {"centre": [0.0, 0.0, 0.0], "radius": radius}
+        elif frame is not None:
             place = {"centre": list(frame.centre), "radius": frame.radius}
-        kept = ("title", "kind", "dims", "spacing", "acknowledgement", "samples")
+        kept = ("title", "kind", "field", "resolution", "dims", "spacing", "acknowledgement", "samples")
         table = {key: self._table[key] for key in kept if key in self._table} or {"title": self.dataset.title}
-        whole = {**table, "frame": place, "files": files, "scenes": written}
+        whole = {**table, **({"frame": place} if place else {}), "files": files, "scenes": written}
         if compositions:
             whole["compositions"] = compositions
         text = (
@@ -175,8 +180,8 @@ class Editable:
         elif files:
             table = {key: value for key, value in files[0].items() if key in File.model_fields}
         else:
-            reason = "is computed, and a TOML file of scenes needs a volume file"
-            raise DataError(self.dataset.name, reason, "Open a volume file, or a TOML file that names one")
+            reason = "is several datasets, and a TOML file of scenes holds one"
+            raise DataError(self.dataset.name, reason, "Open one of them")
         if "range" not in table:
             table["range"] = [float(end) for end in self.dataset.volume(variable).value_range]
         path = self._place(table["path"], folder)

@@ -56,8 +56,11 @@ def open_dataset(
     if path.suffix == ".toml":
         from econgs_bench.datasets.catalogue.own import read_entry
 
+        name, table = entries.own_name(path.stem), read_entry(path)
+        if table["kind"] == "procedural":
+            return _procedural(name, table, resolution)
         folders = [path.resolve().parent, *entries.data_folders(data_dirs)]
-        return _from_catalogue(entries.own_name(path.stem), read_entry(path), folders, text)
+        return _from_catalogue(name, table, folders, text)
     try:
         is_folder, exists = path.is_dir(), path.exists()
     except (OSError, ValueError):
@@ -113,11 +116,13 @@ def _resolution(text: str, at: str) -> int:
 
 def _procedural(name: str, table: dict[str, Any], resolution: int | None) -> Dataset:
     from econgs_bench.datasets import procedural
+    from econgs_bench.datasets.ground_truth.sampling import samples_of
     from econgs_bench.datasets.scene import Dataset
 
     field = table.get("field", name)  # several entries may show one field
-    n = procedural.check_resolution(field, resolution)
-    full = name if n == procedural.default_resolution(field) else f"{name}@{n}"
+    usual = table.get("resolution") or procedural.default_resolution(field)
+    n = procedural.check_resolution(field, resolution or usual)
+    full = name if n == usual else f"{name}@{n}"
 
     @cache
     def together() -> dict[str, Volume]:  # variables share most of their computation
@@ -126,7 +131,10 @@ def _procedural(name: str, table: dict[str, Any], resolution: int | None) -> Dat
     volumes: dict[str, Callable[[], Volume]] = {
         variable: partial(_one, together, variable) for variable in procedural.FIELDS[field]
     }
-    return Dataset(full, table["title"], "volume", _scenes(table), entries.compositions_of(table), volumes)
+    samples = samples_of(table.get("samples", "auto"), f"dataset {name}")
+    compositions = entries.compositions_of(table)
+    framing = partial(_framing, table["frame"]) if "frame" in table else None
+    return Dataset(full, table["title"], "volume", _scenes(table), compositions, volumes, framing, samples)
 
 
 def _one(volumes: Callable[[], dict[str, Volume]], variable: str) -> Volume:

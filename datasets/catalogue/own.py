@@ -12,6 +12,7 @@ from econgs_bench.datasets.colors import REMEDY as COLORS
 from econgs_bench.datasets.colors import hex_color
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.ground_truth.sampling import samples_of
+from econgs_bench.datasets.procedural import FIELDS
 from econgs_bench.datasets.toml import read_toml, sentence
 
 REMEDY = "Mend it: `bench scenes VOLUME` writes such a file, with a comment for each key"
@@ -149,22 +150,43 @@ class Frame(_Part):
 
 
 class Entry(_Part):
-    """A dataset of volumes."""
+    """A dataset of volumes: of files, or of a formula of :mod:`.datasets.procedural`."""
 
     title: str = ""
-    kind: Literal["volume"] = "volume"
+    kind: Literal["volume", "procedural"] = "volume"
+    field: str | None = None
+    resolution: Annotated[int, Field(ge=8, le=1024)] | None = None
     dims: tuple[int, int, int] | None = None
     spacing: tuple[Positive, Positive, Positive] | None = None
     acknowledgement: str = ""
-    files: Annotated[list[File], Field(min_length=1)]
+    files: list[File] = []
     scenes: Annotated[list[Scene], Field(min_length=1)]
     frame: Frame | None = None
     samples: Annotated[int | str, BeforeValidator(_checked_samples)] = "auto"
     compositions: dict[Name, Annotated[list[str], Field(min_length=2)]] = {}
 
+    @property
+    def variables(self) -> list[str]:
+        """Names of the volumes."""
+        return list(FIELDS[self.field]) if self.field else [file.variable for file in self.files]
+
+    @model_validator(mode="after")
+    def _has_volumes(self) -> Entry:
+        given = [key for key in ("files", "dims", "spacing") if getattr(self, key)]
+        if self.kind == "volume":
+            if not self.files:
+                raise ValueError("files is missing: name at least one volume file")
+            if self.field is not None or self.resolution is not None:
+                raise ValueError('field and resolution are of kind = "procedural"')
+        elif self.field not in FIELDS:
+            raise ValueError(f"field {self.field!r} is no set of formulas: {', '.join(FIELDS)}")
+        elif given:
+            raise ValueError(f"{given[0]} is of volume files; a formula has none")
+        return self
+
     @model_validator(mode="after")
     def _names_fit(self) -> Entry:
-        variables = [file.variable for file in self.files]
+        variables = self.variables
         scenes = [scene.name for scene in self.scenes]
         for kind, names in (("variable", variables), ("scene", [*scenes, *self.compositions, "all"])):
             twice = [name for i, name in enumerate(names) if name in names[:i]]
@@ -172,7 +194,8 @@ class Entry(_Part):
                 raise ValueError(f"the {kind} name {twice[0]} occurs twice")
         for scene in self.scenes:
             if scene.variable not in variables:
-                raise ValueError(f"scene {scene.name} is of variable {scene.variable}, which no file has")
+                has = "no file has" if self.files else "the formula lacks"
+                raise ValueError(f"scene {scene.name} is of variable {scene.variable}, which {has}")
         for name, parts in self.compositions.items():
             for part in parts:
                 if part not in scenes:
@@ -194,7 +217,8 @@ def read_entry(path: Path) -> dict[str, Any]:
     whole["kind"] = entry.kind
     for table, scene in zip(whole["scenes"], entry.scenes, strict=True):
         table["variable"] = scene.variable
-    whole["files"] = [file.model_dump(exclude_none=True) for file in entry.files]
+    if entry.files:
+        whole["files"] = [file.model_dump(exclude_none=True) for file in entry.files]
     return whole
 
 

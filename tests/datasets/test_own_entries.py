@@ -96,6 +96,14 @@ def test_a_broken_entry_breaks_nothing_else(folder, monkeypatch):
                                  ("'many'", "'many'"), ("true", "True"), ("[4]", "[4]"), ("nan", "nan"))
         ),
         (("[[files]]", "[[files"), "is no TOML file"),
+        (('[[files]]\npath = "ramp.npy"', ""), "files is missing"),
+        (("[[files]]", 'field = "shells"\n[[files]]'), 'are of kind = "procedural"'),
+        (("[[files]]", 'kind = "procedural"\nfield = "shells"\n[[files]]'), "files is of volume files"),
+        (('[[files]]\npath = "ramp.npy"', 'kind = "procedural"'), "field None is no set of formulas"),
+        (('[[files]]\npath = "ramp.npy"', 'kind = "procedural"\nfield = "shells"'),
+         "variable value, which the formula lacks"),
+        (('[[files]]\npath = "ramp.npy"', 'kind = "procedural"\nfield = "shells"\nresolution = 7'),
+         "resolution: Input should be greater than or equal to 8"),
     ],
 )  # fmt: skip
 def test_a_mistake_is_named_with_its_file_and_key(folder, change, reason):
@@ -105,6 +113,25 @@ def test_a_mistake_is_named_with_its_file_and_key(folder, change, reason):
         open_dataset(str(path))
     assert str(error.value).startswith(f"{path}: ")
     assert reason in LINE.sub("", str(error.value))
+
+
+def test_an_entry_of_a_formula_needs_no_file(folder, monkeypatch):
+    head = 'kind = "procedural"\nfield = "shells"\nresolution = 16'
+    text = ENTRY.replace('[[files]]\npath = "ramp.npy"', head).replace(
+        "[[scenes.b", 'variable = "shells"\n[[scenes.b'
+    )
+    (folder / "mine.toml").write_text(text)
+    dataset = open_dataset(str(folder / "mine.toml"))
+    assert (dataset.name, dataset.frame) == ("mine", None)
+    own, shipped = dataset.volume("shells"), open_dataset("shells@16").volume("shells")
+    assert own.source == shipped.source
+    np.testing.assert_array_equal(own.values, shipped.values)
+    monkeypatch.setenv(OWN_ENVIRONMENT, str(folder))
+    assert open_dataset("mine").name == "mine"
+    other = open_dataset("mine@24")
+    assert (other.name, other.volume("shells").dims) == ("mine@24", (24, 24, 24))
+    (info,) = (one for one in list_datasets() if one.name == "mine")
+    assert (info.kind, info.available, info.variables) == ("procedural", True, ("shells",))
 
 
 @pytest.mark.parametrize("text", ["#3366ff", "#36f", "#36F", "#3366FF"])
