@@ -289,7 +289,7 @@ globalThis.bench = {
   source: (/** @type {number} */ which) => layers[which].source,
   shot: () => { present(); return canvas.toDataURL("image/png"); },
   scenes: () => scenes.of(source(layers[0])),
-  tables: () => editor.state.tables, corners: (/** @type {number} */ place) => editor.corners(editor.state.bumps[place]),
+  tables: () => editor.state.tables, corners: (/** @type {number} */ place) => editor.corners(editor.state.parts[place]),
   frames: () => frames, camera: () => wish(layers[0]).camera, share: () => share,
 };
 start().catch(say);

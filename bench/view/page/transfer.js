@@ -1,4 +1,4 @@
-// The editor of transfer functions: bumps over the histogram of a volume, under the mouse.
+// The editor of transfer functions: bumps and isosurfaces over the histogram of a volume, under the mouse.
 //
 // Scenes are tables as a TOML file of scenes has them (datasets/catalogue/own.py). Values are normalised,
 // 0 to 1; the numbers beside the curve are in units of the data.
@@ -8,16 +8,22 @@ import {ask} from "./server.js";
 
 const REACH = 9; // px around a handle
 const PAD = 7; // px between the curve and the ends of values
-const MOST = 0.99; // opacity
+const MOST = 0.99; // opacity of a bump
+const LEAST = 1e-6; // of what has to be above 0
 const COLORS = ["#57b5e8", "#e69e00", "#cc78a6", "#009e73", "#d65e00", "#0073b3", "#f0e342"]; // Okabe and Ito
 
 /** @typedef {{name: string, range: number[], color: number[], opacity: number}} Bump */
-/** @typedef {{name: string, variable: string, bumps?: Bump[], transfer?: string, preset?: string}} Table */
+/** @typedef {{name: string, value: number, color: number[], opacity: number}} Surface */
+/** @typedef {{name: string, variable: string, bumps?: Bump[], isosurfaces?: Surface[], transfer?: string, preset?: string}} Table */
 /** @typedef {{counts: Float32Array, range: number[], picture: HTMLCanvasElement}} Histogram */
 const byId = (/** @type {string} */ id) => /** @type {any} */ (document.getElementById(id));
 const round = (/** @type {number} */ value) => Math.round(1e6 * value) / 1e6;
 const between = (/** @type {number} */ value, /** @type {number} */ low, /** @type {number} */ high) =>
   Math.min(Math.max(value, low), high);
+/** Bumps, or isosurfaces: what a scene shows and the mouse takes. @param {Table} table @returns {any[]} */
+const parts = (table) => [...table.bumps ?? [], ...table.isosurfaces ?? []];
+/** An opacity that such a part may have. @param {any} part @param {number} value */
+const opacity = (part, value) => round(part.range ? between(value, 0, MOST) : between(value, LEAST, 1));
 
 /** Tables of one source, and how they came about. */
 class Tables {
@@ -26,7 +32,7 @@ class Tables {
     this.original = this.now = JSON.stringify(tables);
     this.past = /** @type {string[]} */ ([]);
     this.future = /** @type {string[]} */ ([]);
-    this.scene = this.bump = 0; // places of what is selected
+    this.scene = this.part = 0; // places of what is selected
     this.histograms = /** @type {Map<string, Histogram>} */ (new Map());
     this.take(this.now);
   }
@@ -36,7 +42,7 @@ class Tables {
     this.now = text;
     this.tables = /** @type {Table[]} */ (JSON.parse(text));
     this.scene = between(this.scene, 0, this.tables.length - 1);
-    this.bump = between(this.bump, 0, Math.max(this.bumps.length - 1, 0));
+    this.part = between(this.part, 0, Math.max(this.parts.length - 1, 0));
   }
 
   /** Keep what has been changed; `fresh`: what was before can be undone. @param {boolean} fresh */
@@ -59,7 +65,7 @@ class Tables {
   }
 
   get table() { return this.tables[this.scene]; }
-  get bumps() { return this.table.bumps ?? []; }
+  get parts() { return parts(this.table); }
 }
 
 /** The editor below the picture. */
@@ -113,30 +119,34 @@ export class Editor {
     const known = new Map(this.known.scenes.map((/** @type {any} */ one) => [one.name, one]));
     this.known.scenes = state.tables.map((one) => {
       const old = known.get(one.name) ?? {light: null, primitives: null};
-      return {...old, name: one.name, color: one.bumps?.[0]?.color ?? old.color};
+      return {...old, name: one.name, color: parts(one)[0]?.color ?? old.color};
     });
     this.changed(this.known, [state.table.name, before]);
   }
 
   /** Show all controls as the tables are. */
   refresh() {
-    const state = this.state, {table, bumps} = state, bump = bumps[state.bump];
+    const state = this.state, {table} = state, all = state.parts, part = all[state.part];
     byId("scene").replaceChildren(...state.tables.map((one, i) => option(i, one.name)));
     byId("scene").value = state.scene;
     byId("sceneName").value = table.name;
     byId("variable").value = table.variable;
-    byId("which").replaceChildren(...bumps.map((one, i) => option(i, one.name)));
-    byId("which").value = state.bump;
+    byId("which").replaceChildren(...all.map((one, i) => option(i, one.name)));
+    byId("which").value = state.part;
     byId("map").value = table.transfer ?? "";
     byId("preset").value = table.preset ?? "";
-    for (const one of document.querySelectorAll("#bump input, #dropBump, #which")) /** @type {any} */ (one).disabled = !bump;
+    for (const one of document.querySelectorAll("#bump input, #dropBump, #which")) /** @type {any} */ (one).disabled = !part;
+    for (const one of document.querySelectorAll("#bump .end")) one.parentElement.hidden = Boolean(part && !part.range);
+    byId("value").parentElement.hidden = !part || Boolean(part.range);
     byId("dropScene").disabled = state.tables.length < 2;
     byId("undo").disabled = !state.past.length;
     byId("redo").disabled = !state.future.length;
-    if (bump) {
-      byId("bumpColor").value = hex(bump.color);
-      byId("opacity").value = bump.opacity.toFixed(3);
-      document.querySelectorAll("#bump .end").forEach((/** @type {any} */ one, i) => { one.value = this.data(bump.range[i]); });
+    if (part) {
+      byId("bumpColor").value = hex(part.color);
+      byId("opacity").value = part.opacity.toFixed(3);
+      if (part.range) {
+        document.querySelectorAll("#bump .end").forEach((/** @type {any} */ one, i) => { one.value = this.data(part.range[i]); });
+      } else byId("value").value = this.data(part.value);
     }
     this.draw();
   }
@@ -145,6 +155,12 @@ export class Editor {
   data(share) {
     const [low, high] = this.histogram()?.range ?? [0, 1];
     return Number((low + share * (high - low)).toPrecision(6));
+  }
+
+  /** The normalised value of a number in units of the data. @param {string} text */
+  share(text) {
+    const [low, high] = this.histogram()?.range ?? [0, 1];
+    return (Number(text) - low) / (high - low);
   }
 
   /** Of the scene's variable; it is asked for if it has not come yet. */
@@ -163,10 +179,11 @@ export class Editor {
   /** Pixels of the canvas between values 0 and 1, and between opacities 0 and 1. */
   extent() { return [this.canvas.clientWidth - 2 * PAD, this.canvas.clientHeight - 2 * PAD]; }
 
-  /** Places of a bump's corners on the canvas, px. @param {Bump} bump */
-  corners(bump) {
-    const [width, height] = this.extent(), heights = [0, bump.opacity, bump.opacity, 0];
-    return bump.range.map((value, i) => [PAD + value * width, PAD + (1 - heights[i]) * height]);
+  /** Places of a part's corners on the canvas, px: four of a bump, the upper end of an isosurface. @param {any} part */
+  corners(part) {
+    const [width, height] = this.extent(), heights = part.range ? [0, part.opacity, part.opacity, 0] : [part.opacity];
+    return (part.range ?? [part.value]).map((/** @type {number} */ value, /** @type {number} */ i) =>
+      [PAD + value * width, PAD + (1 - heights[i]) * height]);
   }
 
   draw() {
@@ -187,28 +204,34 @@ export class Editor {
         context.fillRect(PAD + i * bar, PAD + high - tall, bar, tall);
       });
     }
-    const outline = (/** @type {Bump} */ bump) => {
+    const outline = (/** @type {any} */ part) => {
+      const corners = this.corners(part);
       context.beginPath();
-      for (const [x, y] of this.corners(bump)) context.lineTo(x, y);
+      if (!part.range) context.moveTo(corners[0][0], height - PAD);
+      for (const [x, y] of corners) context.lineTo(x, y);
     };
     context.setLineDash([4, 3]);
     for (const other of state.tables.filter((one) => one !== state.table && one.variable === state.table.variable)) {
-      for (const bump of other.bumps ?? []) {
-        context.strokeStyle = hex(bump.color);
-        outline(bump);
+      for (const part of parts(other)) {
+        context.strokeStyle = hex(part.color);
+        outline(part);
         context.stroke();
       }
     }
     context.setLineDash([]);
-    state.bumps.forEach((bump, place) => {
-      outline(bump);
-      context.fillStyle = `${hex(bump.color)}99`;
+    state.parts.forEach((part, place) => {
+      outline(part);
+      context.fillStyle = `${hex(part.color)}99`;
       context.fill();
-      context.strokeStyle = "#222";
-      context.lineWidth = place === state.bump ? 2 : 1;
+      const chosen = place === state.part;
+      if (!part.range) {
+        [context.strokeStyle, context.lineWidth] = [hex(part.color), 5];
+        context.stroke();
+      }
+      [context.strokeStyle, context.lineWidth] = ["#222", chosen ? 2 : 1];
       context.stroke();
-      if (place !== state.bump) return;
-      for (const [x, y] of this.corners(bump)) {
+      if (!chosen) return;
+      for (const [x, y] of this.corners(part)) {
         context.beginPath();
         context.arc(x, y, 5, 0, 2 * Math.PI);
         context.fillStyle = "#fff";
@@ -222,20 +245,26 @@ export class Editor {
     }
   }
 
-  /** The bump and the corner (-1: its body) at a place of the canvas; null: neither. */
+  /** The part and the corner (-1: its body) at a place of the canvas; null: neither. */
   hit(/** @type {number} */ x, /** @type {number} */ y) {
-    const {bumps, bump} = this.state;
-    const order = [bump, ...[...bumps.keys()].reverse().filter((one) => one !== bump)].filter((one) => bumps[one]);
+    const {parts: all, part: chosen} = this.state;
+    const order = [chosen, ...[...all.keys()].reverse().filter((one) => one !== chosen)].filter((one) => all[one]);
     for (const place of order) {
-      const apart = this.corners(bumps[place]).map(([u, v]) => Math.hypot(u - x, v - y));
+      const apart = this.corners(all[place]).map((/** @type {number[]} */ [u, v]) => Math.hypot(u - x, v - y));
       const nearest = Math.min(...apart);
       if (nearest > REACH) continue;
       // Of corners at one place the one that the other bounds least: the first at the right end, else the last.
-      const corner = bumps[place].range[0] >= 1 ? apart.indexOf(nearest) : apart.lastIndexOf(nearest);
+      const corner = all[place].range?.[0] >= 1 ? apart.indexOf(nearest) : apart.lastIndexOf(nearest);
       return {place, corner};
     }
     for (const place of order) {
-      const [[a, floor], [b, top], [c], [d]] = this.corners(bumps[place]);
+      const corners = this.corners(all[place]);
+      if (!all[place].range) {
+        const [[at, above]] = corners;
+        if (Math.abs(x - at) <= REACH && y >= above) return {place, corner: -1};
+        continue;
+      }
+      const [[a, floor], [b, top], [c], [d]] = corners;
       const up = x < b ? (x - a) / (b - a) : x > c ? (d - x) / (d - c) : 1;
       if (x >= a && x <= d && y <= floor && y >= floor - up * (floor - top)) return {place, corner: -1};
     }
@@ -250,8 +279,9 @@ export class Editor {
       const found = this.hit(event.offsetX, event.offsetY);
       if (!found) return;
       canvas.setPointerCapture(event.pointerId);
-      this.state.bump = found.place;
-      held = {...found, x: event.offsetX, range: [...this.state.bumps[found.place].range], fresh: true};
+      this.state.part = found.place;
+      const {range, value} = this.state.parts[found.place];
+      held = {...found, x: event.offsetX, range: [...range ?? [value]], fresh: true};
       this.refresh();
     });
     canvas.addEventListener("pointermove", (/** @type {PointerEvent} */ event) => {
@@ -260,11 +290,16 @@ export class Editor {
       if (!held) return canvas.style.setProperty("cursor", this.hit(event.offsetX, event.offsetY) ? "grab" : "default");
       const {corner, range} = held;
       const kept = this.edit((state) => {
-        const bump = state.bumps[held.place];
-        const by = between((event.offsetX - held.x) / width, -range[0], 1 - range[3]);
-        if (corner < 0) bump.range = range.map((/** @type {number} */ one) => round(one + by));
-        else bump.range[corner] = round(between(value, bump.range[corner - 1] ?? 0, bump.range[corner + 1] ?? 1));
-        if (corner === 1 || corner === 2) bump.opacity = round(between(1 - (event.offsetY - PAD) / height, 0, MOST));
+        const part = state.parts[held.place], tall = opacity(part, 1 - (event.offsetY - PAD) / height);
+        const by = between((event.offsetX - held.x) / width, -range[0], 1 - range.at(-1));
+        if (!part.range) {
+          part.value = between(round(range[0] + by), LEAST, 1 - LEAST);
+          if (corner === 0) part.opacity = tall;
+          return;
+        }
+        if (corner < 0) part.range = range.map((/** @type {number} */ one) => round(one + by));
+        else part.range[corner] = round(between(value, part.range[corner - 1] ?? 0, part.range[corner + 1] ?? 1));
+        if (corner === 1 || corner === 2) part.opacity = tall;
       }, held.fresh);
       if (kept) held.fresh = false;
     });
@@ -276,46 +311,55 @@ export class Editor {
     const on = (/** @type {string} */ id, /** @type {string} */ event, /** @type {() => any} */ act) =>
       byId(id).addEventListener(event, () => Promise.resolve().then(act).catch(this.say));
     on("scene", "change", () => {
-      Object.assign(this.state, {scene: Number(byId("scene").value), bump: 0});
+      Object.assign(this.state, {scene: Number(byId("scene").value), part: 0});
       this.tell();
       this.refresh();
     });
-    on("which", "change", () => { this.state.bump = Number(byId("which").value); this.refresh(); });
+    on("which", "change", () => { this.state.part = Number(byId("which").value); this.refresh(); });
     on("sceneName", "change", () => this.edit(({table}) => { table.name = byId("sceneName").value.trim(); }));
     on("variable", "change", () => this.edit(({table}) => { table.variable = byId("variable").value; }));
     on("addScene", "click", () => this.edit((state) => {
       const count = state.tables.length, {variable} = state.table, bumps = [bump("bump1", COLORS[count % COLORS.length])];
       state.tables.push({name: free("scene", state.tables), variable, bumps});
-      Object.assign(state, {scene: count, bump: 0});
+      Object.assign(state, {scene: count, part: 0});
     }));
     on("dropScene", "click", () => this.edit((state) => {
       state.tables.splice(state.scene, 1);
-      Object.assign(state, {scene: Math.max(state.scene - 1, 0), bump: 0});
+      Object.assign(state, {scene: Math.max(state.scene - 1, 0), part: 0});
     }));
-    on("addBump", "click", () => this.edit((state) => {
-      const {table} = state, bumps = table.bumps ??= [];
-      delete table.transfer, delete table.preset, delete table["rescale"];
-      bumps.push(bump(free("bump", bumps), COLORS[bumps.length % COLORS.length]));
-      state.bump = bumps.length - 1;
-    }));
+    // A scene shows bumps, a map or isosurfaces: one more of one kind takes the place of the others.
+    const add = (/** @type {string} */ id, /** @type {"bumps" | "isosurfaces"} */ kind, /** @type {typeof bump | typeof surface} */ make) =>
+      on(id, "click", () => this.edit((state) => {
+        const {table} = state, own = /** @type {any[]} */ (table[kind] ??= []), stem = id.slice(3).toLowerCase();
+        for (const key of ["transfer", "preset", "rescale", "bumps", "isosurfaces"]) if (key !== kind) delete table[key];
+        own.push(make(free(stem, own), COLORS[own.length % COLORS.length]));
+        state.part = own.length - 1;
+      }));
+    add("addBump", "bumps", bump);
+    add("addSurface", "isosurfaces", surface);
     on("dropBump", "click", () => this.edit((state) => {
-      state.bumps.splice(state.bump, 1);
-      state.bump = Math.max(state.bump - 1, 0);
+      const {bumps = [], isosurfaces = []} = state.table, {part} = state;
+      if (part < bumps.length) bumps.splice(part, 1);
+      else isosurfaces.splice(part - bumps.length, 1);
+      state.part = Math.max(part - 1, 0);
     }));
     let picking = false; // a color: one step of undo, however long it takes to choose it
     on("bumpColor", "input", () => {
-      this.edit((state) => { state.bumps[state.bump].color = rgb(byId("bumpColor").value).map(round); }, !picking);
+      this.edit((state) => { state.parts[state.part].color = rgb(byId("bumpColor").value).map(round); }, !picking);
       picking = true;
     });
     on("bumpColor", "change", () => { picking = false; });
     on("opacity", "change", () => this.edit((state) => {
-      state.bumps[state.bump].opacity = between(Number(byId("opacity").value), 0, MOST);
+      const part = state.parts[state.part];
+      part.opacity = opacity(part, Number(byId("opacity").value));
+    }));
+    on("value", "change", () => this.edit((state) => {
+      state.parts[state.part].value = between(round(this.share(byId("value").value)), LEAST, 1 - LEAST);
     }));
     document.querySelectorAll("#bump .end").forEach((/** @type {any} */ input, i) => {
       input.addEventListener("change", () => this.edit((state) => {
-        const {range} = state.bumps[state.bump], [low, high] = this.histogram()?.range ?? [0, 1];
-        const share = (Number(input.value) - low) / (high - low);
-        range[i] = round(between(share, range[i - 1] ?? 0, range[i + 1] ?? 1));
+        const {range} = state.parts[state.part];
+        range[i] = round(between(this.share(input.value), range[i - 1] ?? 0, range[i + 1] ?? 1));
       }));
     });
     for (const id of ["map", "preset"]) {
@@ -337,7 +381,7 @@ export class Editor {
           const taken = state.tables.some(({name}) => name === one.name);
           state.tables.push({...one, name: taken ? free(`${variable}_${one.name}_`, state.tables) : one.name});
         }
-        Object.assign(state, {scene: first, bump: 0});
+        Object.assign(state, {scene: first, part: 0});
       });
     });
     const step = (/** @type {boolean} */ forth) => {
@@ -378,6 +422,9 @@ const option = (/** @type {any} */ value, /** @type {string} */ textContent) => 
 
 /** @param {string} name @param {string} color @returns {Bump} in the middle */
 const bump = (name, color) => ({name, range: [0.4, 0.475, 0.525, 0.6], color: rgb(color).map(round), opacity: 0.5});
+
+/** @param {string} name @param {string} color @returns {Surface} in the middle */
+const surface = (name, color) => ({name, value: 0.5, color: rgb(color).map(round), opacity: 0.8});
 
 /** A name that none has yet. @param {string} stem @param {{name: string}[]} taken */
 function free(stem, taken) {

@@ -155,8 +155,16 @@ def test_bad_scenes_get_one_sentence(server: Server) -> None:
         for status, answer in (ask(server, "picture", **request), saved(server, "bad.toml", tables=tables)):
             assert (status, words in answer["error"], "\n" in answer["error"]) == (400, True, False), answer
     assert not (server.viewer.folder / "bad.toml").exists()
-    status, answer = saved(server, "formula.toml", 1, ask(server, "open", source=1)[1]["tables"])
-    assert (status, "is computed" in answer["error"]) == (400, True)
+
+
+def test_scenes_of_a_formula_are_saved_with_its_name(server: Server) -> None:
+    tables = ask(server, "open", source=1)[1]["tables"]
+    tables[0]["bumps"][0]["opacity"] = 0.25
+    assert saved(server, "formula.toml", 1, tables)[0] == 200
+    old, new = open_dataset("vortices@16"), open_dataset(str(server.viewer.folder / "formula.toml"))
+    assert new.volume("vortices").source == old.volume("vortices").source
+    assert (new.frame, new.scenes[1:], new.compositions) == (None, old.scenes[1:], old.compositions)
+    assert new.scenes[0].transfer.bumps[0].opacity == 0.25
 
 
 def test_proposals_of_a_bare_volume_are_saved(server: Server) -> None:
@@ -192,7 +200,7 @@ def test_maps_of_paraview_are_kept_by_name(server: Server, entry: Path) -> None:
 
 
 def pull(page: Page, corner: int, dx: int, dy: int) -> None:
-    """Drag a corner of the first bump, or with -1 its body."""
+    """Drag a corner of the first bump or isosurface, or with -1 the body of the bump."""
     page.run("document.getElementById('curve').scrollIntoView()")
     corners = page.run("bench.corners(0)")
     left, top = page.run(
@@ -287,6 +295,51 @@ def test_dragged_seen_undone_and_saved(tmp_path: Path, server: Server) -> None:
     )  # fmt: skip
     assert planned.returncode == 0, planned.stderr
     assert "dragged" in planned.stdout + planned.stderr
+
+
+@pytest.mark.skipif(executable() is None, reason="no Chromium here")
+def test_isosurfaces_are_dragged_and_saved(tmp_path: Path) -> None:
+    (source,) = found(["jet_flame_iso@16"], tmp_path, (), "cpu")
+    with serving(source) as server, Page(tmp_path / "profile", *SOFTWARE) as page:
+        server.viewer.folder = tmp_path
+        page.emulate(1000, 800)
+        page.open(server.address)
+        page.settled()
+        page.until("document.getElementById('low').textContent === '0'")
+        plain, (first,) = page.canvas().astype(int), page.run("bench.tables()[0].isosurfaces")
+        assert page.run("[...document.querySelectorAll('#bump label')].filter((l) => !l.hidden).length") == 2
+        pull(page, 0, 60, 30)
+        page.settled()
+        (moved,) = page.run("bench.tables()[0].isosurfaces")
+        assert moved["value"] > first["value"] + 0.05
+        assert 0.0 < moved["opacity"] < first["opacity"]
+        assert np.abs(page.canvas() - plain).max() > 30
+        page.set("#value", 65535, "change")  # beyond the last value that a surface can have
+        page.set("#opacity", 0, "change")
+        page.settled()
+        (surface,) = page.run("bench.tables()[0].isosurfaces")
+        assert (surface["value"], surface["opacity"]) == (0.999999, 1e-6)
+        for _ in range(3):
+            control_z(page)
+        page.settled()
+        assert page.run("bench.tables()[0].isosurfaces") == [first]
+        assert np.abs(page.canvas() - plain).max() <= 1
+
+        page.click("#addSurface")
+        page.settled()
+        assert [one["name"] for one in page.run("bench.tables()[0].isosurfaces")] == ["low", "surface2"]
+        page.click("#addBump")  # in their place
+        page.settled()
+        assert "isosurfaces" not in page.run("bench.tables()[0]")
+        assert len(page.run("bench.tables()[0].bumps")) == 1
+        control_z(page)
+        page.set("#saveName", "iso.toml")
+        page.click("#saveScenes")
+        page.until("document.getElementById('command').textContent.startsWith('bench run')")
+        assert page.problems == []
+    written = open_dataset(str(tmp_path / "iso.toml"))
+    assert [one.value for one in written.scenes[0].isosurfaces] == [first["value"], 0.5]
+    assert written.scenes[1:] == open_dataset("jet_flame_iso@16").scenes[1:]
 
 
 def test_the_viewer_saves_where_it_was_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
