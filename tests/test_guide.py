@@ -67,3 +67,4 @@ def test_all_commands_of_the_page_run_in_turn(shell: Shell) -> None:
     assert "toy-blobs" in (shell.folder / "runs" / "report.html").read_text(encoding="utf-8")
     page = (shell.folder / "both" / "report.html").read_text(encoding="utf-8")
     assert all(name in page for name in ("toy-commands", "drawn=here", "ECoNGS-R"))
+    assert re.search(r"^pass: 4 results; nothing differs", output, re.M), output

@@ -286,7 +286,7 @@ def test_a_package_may_offer_commands(plugin: Path, tmp_path: Path, monkeypatch)
     assert isinstance(load_method(spec), CommandMethod)
 
 
-@pytest.mark.parametrize("name", sorted(path.name for path in RECIPES.iterdir()))
+@pytest.mark.parametrize("name", sorted(path.parent.name for path in RECIPES.glob("*/command.toml")))
 def test_recipes_are_sound_and_miss_their_environment_by_name(tmp_path: Path, name: str) -> None:
     spec = Registry([RECIPES / name]).spec(command_spec(RECIPES / name / "command.toml").name)
     assert spec.devices == ("cuda",)

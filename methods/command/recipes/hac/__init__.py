@@ -1,0 +1,1 @@
+"""Programs around HAC's own, which import nothing of this project."""

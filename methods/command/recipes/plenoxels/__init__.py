@@ -1,0 +1,1 @@
+"""A program around svox2, which imports nothing of this project."""
