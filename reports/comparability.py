@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -44,6 +45,8 @@ UNKNOWN = "truth unknown"
 """End of the names of datasets whose rows are not ranked: what they were measured on is not known."""
 _STRATUM = ("dataset", "preset", "split", "requested_views")
 _PICTURES = (*METRICS, *COVERAGE)
+_WORDS = re.compile(r" \[|, ")
+"""What stands before the words that name a version of a dataset."""
 PARTS = "parts"
 """Key of `differences` for the times of the parts of a frame."""
 _CLOCKED = {
@@ -92,12 +95,17 @@ def set_apart(jobs: pd.DataFrame, current: Current | None = None) -> pd.DataFram
         lambda row: f"{row['width']} \N{MULTIPLICATION SIGN} {row['height']}",
         "views of {}",
     )
-    _by_axis(rows, ("samples",), lambda row: rays_a_pixel(int(row["samples"])), "truth of {}")
+    _by_axis(rows, ("samples",), lambda row: rays_a_pixel(int(row["samples"])), "truth with {}")
     _by_truth(rows)
     return jobs.assign(
         dataset=_column(jobs, "dataset", [row["dataset"] for row in rows]),
         differences=_column(jobs, "dataset", [_text(row["differences"]) for row in rows]),
     )
+
+
+def root(name: str) -> str:
+    """The name that a dataset had before :func:`set_apart`, or training views, made another of it."""
+    return _WORDS.split(name, maxsplit=1)[0]
 
 
 def rays_a_pixel(samples: int) -> str:
@@ -496,7 +504,8 @@ def _model(row: Mapping[str, Any]) -> tuple[Any, ...]:
 def compared(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
     """Tables with what is compared: `results` without the rows and values that have differences.
 
-    Rows of `curve` and `timing` whose fit or drawing was not timed like the others' are left out as well.
+    Rows of `curve` and `timing` whose fit or drawing was not timed like the others' are left out as well, and
+    the rungs of models that are left out.
     """
     import pandas as pd
 
@@ -510,6 +519,8 @@ def compared(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
         at = [not each.keys().isdisjoint({ROW, *quantities}) for each in found]
         return results[pd.Series(at, results.index, dtype=bool)]
 
+    if "rungs" in out:
+        out["rungs"] = out["rungs"][~out["rungs"]["job"].isin(rows_with()["job"])]
     if "timing" in out:
         out["timing"] = out["timing"][~out["timing"]["job"].isin(rows_with("fps", PARTS)["job"])]
     if "curve" in out:  # of fits, whose measurements results hold

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +15,8 @@ Cells = dict[str, dict[str, dict[Any, float]]]
 """Dataset -> scene -> seed -> value, of one method."""
 LEAST_DATASETS = 3
 """Datasets from which their differences are the sample; with fewer it is the scenes."""
+NO_SEED = "none in common"
+"""In place of a seed: the mean over those of a method, of a scene of which the methods share no seed."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,7 @@ class Effect:
         p: two-sided p-value of Student's t with the same standard error; None as ``half``.
         wins: number of datasets on which the first is better.
         datasets, scenes: that were compared.
-        seeds: least and largest number of common seeds of a scene.
+        seeds: least and largest number of common seeds of a scene; 0 where its means are compared.
         ratio: whether ``mean`` and ``half`` are logarithms.
     """
 
@@ -47,6 +49,70 @@ class Effect:
             return None
         low, high = self.mean - self.half, self.mean + self.half
         return (math.exp(low), math.exp(high)) if self.ratio else (low, high)
+
+
+def at_shared_seeds(cells: Mapping[str, Cells], ratio: bool) -> dict[str, Cells]:
+    """Values of methods with the same scenes: of each scene those of the seeds that all methods have.
+
+    Where they share none, the means over their own seeds stand under :data:`NO_SEED`. Means of the result,
+    and their differences, are of the same seeds, so a better mean never has a negative lead.
+
+    Args:
+        cells: method -> values.
+        ratio: means are geometric.
+    """
+    shared: dict[str, Cells] = {name: {} for name in cells}
+    for dataset, scenes in next(iter(cells.values()), {}).items():
+        for scene in scenes:
+            own = {name: values[dataset][scene] for name, values in cells.items()}
+            common = set.intersection(*map(set, own.values()))
+            for name, seeds in own.items():
+                kept = {seed: value for seed, value in seeds.items() if seed in common}
+                shared[name].setdefault(dataset, {})[scene] = kept or {NO_SEED: mean(seeds.values(), ratio)}
+    return shared
+
+
+def leads(
+    order: Sequence[str], cells: Mapping[str, Cells], better: int, ratio: bool
+) -> tuple[tuple[Effect, ...], Mapping[str, Cells]]:
+    """How far the first of some methods is ahead of each other one, never less than nothing.
+
+    Each lead is over the seeds that the two methods share. If the first one is behind on those, they are over
+    the seeds that all methods share, by whose means it is first.
+
+    Args:
+        order: methods by their means of :func:`at_shared_seeds`, the best first.
+        cells: method -> values; all have the same scenes.
+        better: 1 if higher is better, -1 if lower is.
+        ratio: compare by quotient instead of difference.
+
+    Returns:
+        The leads, and the values that they are of.
+    """
+    for values in (cells, at_shared_seeds(cells, ratio)):
+        found = [effect(values[order[0]], values[name], better, ratio) for name in order[1:]]
+        known = tuple(one for one in found if one is not None)
+        assert len(known) == len(found)  # all methods have the same scenes
+        if all(one.mean >= 0.0 for one in known):
+            break
+    return known, values
+
+
+def mean(values: Iterable[float], ratio: bool) -> float:
+    """Arithmetic mean, or the geometric one."""
+    numbers = np.fromiter(values, dtype=np.float64)
+    return math.exp(float(np.log(numbers).mean())) if ratio else float(numbers.mean())
+
+
+def mean_of(cells: Cells, ratio: bool) -> float:
+    """Mean over datasets of the means over their scenes of the means over seeds."""
+    return mean(
+        (
+            mean((mean(seeds.values(), ratio) for seeds in scenes.values()), ratio)
+            for scenes in cells.values()
+        ),
+        ratio,
+    )
 
 
 def effect(first: Cells, second: Cells, better: int, ratio: bool) -> Effect | None:
@@ -76,7 +142,9 @@ def effect(first: Cells, second: Cells, better: int, ratio: bool) -> Effect | No
         _sampling([of_datasets]) if len(of_datasets) >= LEAST_DATASETS else _sampling(of_scenes),
         _sampling([_of_seeds(differences)]),
     ]
-    counts = [len(seeds) for scenes in differences.values() for seeds in scenes.values()]
+    counts = [
+        0 if NO_SEED in seeds else len(seeds) for scenes in differences.values() for seeds in scenes.values()
+    ]
     known = [term for term in terms if term is not None]
     error = Error.of(known) if known else None
     return Effect(
@@ -94,7 +162,7 @@ def effect(first: Cells, second: Cells, better: int, ratio: bool) -> Effect | No
 def _differences(
     first: dict[str, dict[Any, float]], second: dict[str, dict[Any, float]], better: int, ratio: bool
 ) -> dict[str, dict[Any, float]]:
-    """Scene -> seed -> difference; the scenes' means under the seed None where no seed is common."""
+    """Scene -> seed -> difference; that of the means under :data:`NO_SEED` where no seed is common."""
 
     def value(number: float) -> float:
         return better * (math.log(number) if ratio else number)
@@ -105,7 +173,7 @@ def _differences(
             a, b = first[scene], second[scene]
             common = [seed for seed in a if seed in b]
             scenes[scene] = {seed: value(a[seed]) - value(b[seed]) for seed in common} or {
-                None: _mean(map(value, a.values())) - _mean(map(value, b.values()))
+                NO_SEED: _mean(map(value, a.values())) - _mean(map(value, b.values()))
             }
     return scenes
 

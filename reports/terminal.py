@@ -177,16 +177,17 @@ def line_width() -> int:
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else 120
 
 
-def print_prose(text: str) -> None:
+def print_prose(text: str, out: TextIO | None = None) -> None:
     """Print sentences: on a terminal they wrap between words, below the text where they begin."""
+    out = sys.stdout if out is None else out
     for line in text.split("\n"):
-        if sys.stdout.isatty() and len(line) > line_width():
+        if out.isatty() and len(line) > line_width():
             head = re.match(r"\S.{,30}?  +(?=\S)", line)  # a name before the sentence
             indent = " " * len(head[0] if head else "  ")
             line = textwrap.fill(
                 line, line_width(), subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
             )
-        print(line)
+        print(line, file=out)
 
 
 def console(name: str = "stdout", **options: Any) -> Any:

@@ -131,7 +131,10 @@ def print_answers(contents: Report) -> None:
     if found := contest.of_report(contents):
         print_prose("\n".join(to_text(found[0], answers(contents))))
     elif contents.results["method"].nunique() > 1:
-        print("Nothing is ranked: no two methods have the same scenes under the same conditions.")
+        print_prose(
+            "Nothing is ranked: no two methods have the same scenes under the same conditions, each with its "
+            "default options."
+        )
     for sentence in races.conclusion(races.of_report(contents), family(contents)):
         print_prose(sentence)
     _print_differences(sentences(contents.remarks), contents.stored["differences"], sys.stdout)
@@ -149,7 +152,7 @@ def report_damage(store: Store) -> None:
 def _print_differences(remarks: Sequence[str], listed: pd.DataFrame, out: TextIO) -> None:
     """Print what is not compared, and the command that lists it; nothing where everything is."""
     for remark in remarks[:_MOST_NOTES]:
-        print(remark, file=out)
+        print_prose(remark, out)
     if len(remarks) > _MOST_NOTES:
         print(f"... and {len(remarks) - _MOST_NOTES} more remarks.", file=out)
     if not listed.empty:

@@ -90,7 +90,9 @@ def _compared(
     """As on disk: datasets by what they show, and of each row what is not compared."""
     names = {record.job.id for record in elected(lineage, methods)}
     tables = _stored(lineage, methods, names, ladders)
-    jobs = tables["jobs"] = comparability.set_apart(tables["jobs"], _today(lineage))
+    before = tables["jobs"]
+    jobs = tables["jobs"] = comparability.set_apart(before, _today(lineage))
+    tables = _rivals_together(tables, before["dataset"])
     full = joined({name: tables[name] for name in ("jobs", "results", "superseded")})
     results = comparability.judged(full["results"])
     reasons = dict(zip(results["job"], results["differences"], strict=True))
@@ -99,6 +101,38 @@ def _compared(
     listed = comparability.listing(results, full["superseded"])
     tables["differences"] = frame("differences", listed.to_dict("records"), stored=True)  # type: ignore[arg-type]
     return tables
+
+
+def _rivals_together(tables: dict[str, pd.DataFrame], before: pd.Series) -> dict[str, pd.DataFrame]:
+    """Tables whose rows of one version of a dataset follow each other, and whose ladders are climbed on one.
+
+    Args:
+        tables: as on disk, with the versions in the table `jobs`.
+        before: the datasets of its rows before they were told apart.
+    """
+    jobs = tables["jobs"]
+    if before.equals(jobs["dataset"]):
+        return tables
+    rungs, versions = tables["rungs"], dict(zip(jobs["job"], jobs["dataset"], strict=True))
+    words = {
+        job: version.removeprefix(name) for (job, version), name in zip(versions.items(), before, strict=True)
+    }
+    subjects = [
+        f"{versions[job]}/{subject.rpartition('/')[2]}"
+        if words[job] and subject
+        else subject or words[job].strip(", ")
+        for job, subject in zip(rungs["job"], rungs["subject"].fillna(""), strict=True)
+    ]
+    tables = tables | {"rungs": rungs.assign(subject=subjects).astype(rungs.dtypes)}
+    places = {version: place for place, version in enumerate(dict.fromkeys(jobs["dataset"]))}
+    order = {job: places[version] for job, version in versions.items()}
+
+    def sorted_by(table: pd.DataFrame, column: str, places: Mapping[Any, int]) -> pd.DataFrame:
+        return table.sort_values(column, key=lambda own: own.map(places), kind="stable", ignore_index=True)
+
+    together = {name: sorted_by(table, "job", order) for name, table in tables.items() if "job" in table}
+    ladders = {name: place for place, name in enumerate(dict.fromkeys(rungs["ladder"]))}
+    return tables | together | {"rungs": sorted_by(together["rungs"], "ladder", ladders)}
 
 
 def _today(lineage: Lineage) -> comparability.Current:

@@ -6,18 +6,16 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
-from typing import TYPE_CHECKING
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from econgs_bench.reports import floors
-from econgs_bench.reports.clocks import decoding
+from econgs_bench.reports.clocks import CLOCKS, decoding
 from econgs_bench.reports.comparability import fixed_rays
-from econgs_bench.reports.effects import LEAST_DATASETS, Cells, Effect, effect
+from econgs_bench.reports.effects import LEAST_DATASETS, Cells, Effect, at_shared_seeds, leads, mean, mean_of
 from econgs_bench.reports.family import Family, largest
 from econgs_bench.reports.report import Report
-from econgs_bench.reports.schema import COLUMNS
-from econgs_bench.reports.sections.answers.contest import Contest, Values, of_report
+from econgs_bench.reports.schema import COLUMNS, records
+from econgs_bench.reports.sections.answers.contest import Contest, Values, by_default, of_report
 from econgs_bench.reports.sections.ladders import table as ladder_table
 from econgs_bench.reports.sections.ladders.conclusion import Tally, tally
 from econgs_bench.reports.style import absent, counted, enumeration, label, signed
@@ -32,6 +30,8 @@ _MOST_NAMES = 3
 """Methods that share a first place and are named."""
 
 
+_SMALLEST = 0.05
+"""Distance in dB that is told."""
 _WIDE = 5.0
 """Half width of an interval in dB from which it says nothing."""
 _WIDE_RATIO = math.log(10.0)
@@ -60,10 +60,6 @@ class Criterion:
     def better(self) -> int:
         """1 if higher is better, -1 if lower is."""
         return COLUMNS[self.column].better
-
-    def effect(self, first: Cells, second: Cells) -> Effect | None:
-        """How much better the first method is."""
-        return effect(first, second, self.better, self.ratio)
 
     def amount(self, difference: Effect) -> str:
         """As "3.1 times smaller" or "0.55 dB higher"."""
@@ -164,7 +160,7 @@ def answers_of(report: Report, family: Family) -> list[Answer]:
 
 def scope(contest: Contest) -> str:
     """What is compared, and when a lead counts."""
-    datasets = len(next(iter(contest.values("psnr").cells.values())))
+    datasets = len(next(iter(contest.values("psnr").own.values())))
     whole = len(contest.main & set(contest.scenes))
     rays = "".join(
         f", {text}"
@@ -183,7 +179,7 @@ def scope(contest: Contest) -> str:
         text += " A dataset counts if all methods finished it."
     others = sorted(contest.others.items(), key=lambda one: -one[1])
     names = ", ".join(f"{label(name)} ({count or 'too few scenes'})" for name, count in others)
-    text += f" Not ranked, as measured on fewer: {names}." if names else ""
+    text += f" Not ranked, as measured on fewer or other datasets: {names}." if names else ""
     old = ", ".join(f"{label(name)} {count}" for name, count in contest.stale.items())
     return f"{text} Stale rows, which today's methods would not make: {old}." if old else text
 
@@ -200,16 +196,16 @@ class Comparison:
 
     Attributes:
         values: of the criterion's column.
-        cells: method -> its values.
-        means: method -> its mean over datasets, of means over scenes, of means over seeds; best first. Those
-            of ratios are geometric.
+        means: method -> its mean over datasets, of means over scenes, of means over the seeds that all
+            share; best first. Those of ratios are geometric.
         leads: of the first on each other one, in their order.
+        cells: method -> the values that the leads are of.
     """
 
     values: Values
-    cells: Mapping[str, Cells]
     means: Mapping[str, float]
     leads: tuple[Effect, ...]
+    cells: Mapping[str, Cells]
 
     @property
     def p(self) -> float | None:
@@ -220,29 +216,26 @@ class Comparison:
 def compare(criterion: Criterion, contest: Contest) -> Comparison | None:
     """The methods under one criterion of :data:`CRITERIA`; None where fewer than two are measured."""
     values = contest.values(criterion.column)
-    cells = {name: own for name, own in values.cells.items() if own}
-    if len(cells) < 2:
+    means = {name: mean_of(own, criterion.ratio) for name, own in values.cells.items() if own}
+    if len(means) < 2:
         return None
-    means = {name: _mean(own, criterion.ratio) for name, own in cells.items()}
     order = sorted(means, key=lambda name: -criterion.better * means[name])
-    leads = [criterion.effect(cells[order[0]], cells[name]) for name in order[1:]]
-    assert None not in leads  # all methods have the same datasets
-    known = tuple(lead for lead in leads if lead is not None)
-    return Comparison(values, cells, {name: means[name] for name in order}, known)
+    ahead = leads(order, values.own, criterion.better, criterion.ratio)
+    return Comparison(values, {name: means[name] for name in order}, *ahead)
 
 
 def measured(criterion: Criterion, contest: Contest, family: Family) -> Answer:
     """The answer to one criterion of :data:`CRITERIA`: the best mean wins if its lead is significant."""
     compared = compare(criterion, contest)
     if compared is None:
-        remark = _caution(contest.values(criterion.column))
-        text = f"Not decided: not measured of two methods on one dataset{remark}."
+        remark = _caution(contest, contest.values(criterion.column))
+        count = 2 if criterion.column in CLOCKS else len(contest.methods)
+        methods = "two methods" if count == 2 else f"all {count} methods"
+        text = f"Not decided: not measured of {methods} on one dataset{remark}."
         return Answer(criterion.title, (), "", text)
-    column, values, cells, means = (
-        COLUMNS[criterion.column], compared.values, compared.cells, compared.means
-    )  # fmt: skip
+    column, values, means = COLUMNS[criterion.column], compared.values, compared.means
     order = list(means)
-    scenes = _by_scene(cells)
+    scenes = _by_scene(values.cells)
     firsts = dict.fromkeys(order, 0)
     for scene in scenes:
         best = max(criterion.better * value for value in scene.values())
@@ -251,23 +244,29 @@ def measured(criterion: Criterion, contest: Contest, family: Family) -> Answer:
     places = tuple(
         Place(name, means[name], column.text(means[name]) + criterion.unit, firsts[name]) for name in order
     )
-    leads = list(zip(places[1:], compared.leads, strict=True))
-    near = [(place, one) for place, one in leads if not family.significant(one.p)]
-    rival, lead = (near or leads)[0]
+    ahead = list(zip(places[1:], compared.leads, strict=True))
+    near = [(place, one) for place, one in ahead if not family.significant(one.p)]
+    rival, lead = (near or ahead)[0]
     first, level = places[0], (order[0], *(place.method for place, _ in near)) if near else ()
+    pair = at_shared_seeds(
+        {name: compared.cells[name] for name in (first.method, rival.method)}, criterion.ratio
+    )
+    own, other = (column.text(mean_of(one, criterion.ratio)) + criterion.unit for one in pair.values())
     if near:
-        text = f"No winner among {_listing(level)}: {label(first.method)}, {first.text}, is "
-        text += f"{criterion.amount(lead)} than {label(rival.method)} ({rival.text}; "
+        text = f"No winner among {_listing(level)}: {label(first.method)}, {own}, is "
+        text += f"{criterion.amount(lead)} than {label(rival.method)} ({other}; "
     else:
-        text = f"{label(first.method)}, {first.text}: {criterion.amount(lead)} than {label(rival.method)} ("
+        text = f"{label(first.method)}, {own}: {criterion.amount(lead)} than {label(rival.method)} ("
     remarks = [criterion.interval(lead), family.verdict(lead.p)]
-    text += (
-        f"{'; '.join(filter(None, remarks))}), better on {lead.wins} of {counted(lead.datasets, 'dataset')}; "
-    )
-    near_floor = (
-        _closeness(contest, [cells[first.method], cells[rival.method]]) if criterion.column == "psnr" else ""
-    )
-    text += f"{_seeds(lead)}{near_floor}{_caution(values)}."
+    if lead.mean == 0.0:
+        both = f"{label(first.method)} and {label(rival.method)}"
+        text = f"No winner among {_listing(level)}: {own} of both {both} on "
+        text += counted(lead.datasets, "dataset")
+    else:
+        text += f"{'; '.join(filter(None, remarks))}), better on {lead.wins} of "
+        text += counted(lead.datasets, "dataset")
+    near_floor = _closeness(contest, list(pair.values())) if criterion.column == "psnr" else ""
+    text += f"; {_seeds(lead)}{near_floor}{_caution(contest, values)}."
     if criterion.column == "fps" and (
         condition := decoding(row for row in contest.rows if row["method"] in means)
     ):
@@ -289,7 +288,7 @@ def _by_scene(cells: Mapping[str, Cells]) -> list[dict[str, float]]:
     """Per scene the methods' means over seeds; all methods have the same scenes."""
     some = next(iter(cells.values()))
     return [
-        {name: float(np.mean(list(own[dataset][scene].values()))) for name, own in cells.items()}
+        {name: mean(own[dataset][scene].values(), ratio=False) for name, own in cells.items()}
         for dataset, scenes in some.items()
         for scene in scenes
     ]
@@ -315,8 +314,12 @@ def robustness(contest: Contest) -> Answer:
     """Which method has the mildest worst case: the fewest failures, then the smallest largest shortfall.
 
     A method's shortfall on a scene is the distance of its PSNR, mean over seeds, to that of the best method.
-    Scenes with few training views count as well.
+    Scenes and seeds count that all methods tried, those with few training views as well.
     """
+    if not contest.attempted:
+        return Answer(
+            ROBUST, (), "", f"Not decided: no scene was tried by all {len(contest.methods)} methods."
+        )
     shortfalls = _shortfalls(contest)
     if len(shortfalls) < 2:
         return Answer(ROBUST, (), "", "Not decided: no scene was finished by two methods.")
@@ -327,7 +330,8 @@ def robustness(contest: Contest) -> Answer:
 
     def text(name: str) -> str:
         distance, scene = worst[name]
-        behind = f"behind the best method of a scene by at most {distance:.1f} dB ({scene})"
+        amount = f"at most {distance:.1f}" if distance >= _SMALLEST else f"less than {_SMALLEST}"
+        behind = f"behind the best method of a scene by {amount} dB ({scene})"
         failures = contest.failures[name]
         return (behind if distance > 0 else "never behind another method") + (
             f" and {counted(failures, 'failed fit')}" if failures else ""
@@ -349,37 +353,41 @@ def robustness(contest: Contest) -> Answer:
 
 def _shortfalls(contest: Contest) -> dict[str, dict[str, float]]:
     """Method -> scene -> distance to the best PSNR, where at least two methods finished."""
-    psnr: dict[str, dict[str, list[float]]] = {}
-    for row in contest.rows:
-        if row["status"] == "ok" and not absent(row["psnr"]) and row["method"] in contest.methods:
+    psnr: dict[str, dict[str, Cells]] = {}
+    for row in contest.attempted:
+        if row["status"] == "ok" and not absent(row["psnr"]):
             scene = f"{row['dataset']} / {row['scene']}"
-            psnr.setdefault(scene, {}).setdefault(row["method"], []).append(float(row["psnr"]))
+            own = psnr.setdefault(scene, {}).setdefault(row["method"], {"": {"": {}}})
+            own[""][""][row["seed"]] = float(row["psnr"])
     shortfalls: dict[str, dict[str, float]] = {}
     for scene, methods in psnr.items():
-        means = {name: float(np.mean(values)) for name, values in methods.items()}
-        for name, mean in means.items() if len(means) > 1 else ():
-            shortfalls.setdefault(name, {})[scene] = max(means.values()) - mean
+        shared = at_shared_seeds(methods, ratio=False)
+        means = {name: mean_of(own, ratio=False) for name, own in shared.items()}
+        for name, own_mean in means.items() if len(means) > 1 else ():
+            shortfalls.setdefault(name, {})[scene] = max(means.values()) - own_mean
     return shortfalls
 
 
 def editing(contest: Contest, results: pd.DataFrame) -> Answer:
     """Which method makes the most of the requested edits, and how well those that all can make."""
-    edited = results[(results["kind"] == "edited") & (results["variant"].fillna("") == "")]
-    psnr: dict[str, dict[tuple[str, ...], list[float]]] = {}
-    columns = (edited[name] for name in ("method", "dataset", "scene", "edit", "status", "psnr"))
-    for method, dataset, scene, edit, status, value in zip(*columns, strict=True):
-        own = psnr.setdefault(str(method), {}).setdefault((str(dataset), str(scene), str(edit)), [])
-        if status == "ok" and not absent(value):
-            own.append(float(value))
+    edited = by_default(results, "edited")
+    edited = edited[(edited["preset"] == contest.preset) & (edited["split"] == contest.split)]
+    psnr: dict[str, dict[tuple[str, ...], dict[Any, float]]] = {}
+    for row in records(edited):
+        place = tuple(str(row[name]) for name in ("dataset", "scene", "edit"))
+        own = psnr.setdefault(str(row["method"]), {}).setdefault(place, {})
+        if row["status"] == "ok" and not absent(row["psnr"]):
+            own[row["seed"]] = float(row["psnr"])
     if not psnr:
         return Answer(EDITABLE, (), "", "Not measured: no suite with edits was run (`bench run editing`).")
     edits = set().union(*psnr.values())
     done = {name: {edit: values for edit, values in own.items() if values} for name, own in psnr.items()}
     able = [name for name, own in done.items() if own]
     shared = set.intersection(*(set(done[name]) for name in able)) if able else set()
+    cells = {name: {"": {str(edit): done[name][edit] for edit in shared}} for name in able}
     quality = {
-        name: float(np.mean([np.mean(done[name][edit]) for edit in shared])) if shared else -math.inf
-        for name in able
+        name: mean_of(own, ratio=False) if shared else -math.inf
+        for name, own in at_shared_seeds(cells, ratio=False).items()
     }
     order = sorted(psnr, key=lambda name: (-len(done[name]), -quality.get(name, 0.0)))
     places = tuple(Place(name, len(done[name]), f"{len(done[name])} of {len(edits)}") for name in order)
@@ -399,31 +407,28 @@ def editing(contest: Contest, results: pd.DataFrame) -> Answer:
     return Answer(EDITABLE, places, order[0] if alone else "", f"{'; '.join(parts)}.")
 
 
-def _mean(cells: Cells, ratio: bool) -> float:
-    scale = math.log if ratio else float
-    means = [
-        np.mean([np.mean([scale(value) for value in seeds.values()]) for seeds in scenes.values()])
-        for scenes in cells.values()
-    ]
-    return math.exp(float(np.mean(means))) if ratio else float(np.mean(means))
-
-
 def _factor(value: float) -> str:
     return f"{value:.2f}" if value < 2 else f"{value:.1f}" if value < 20 else f"{value:.0f}"
 
 
 def _seeds(lead: Effect) -> str:
     least, most = lead.seeds
-    return "one seed" if most == 1 else f"{least} seeds" if least == most else f"{least} to {most} seeds"
+    if most == 0:
+        return "no common seed"
+    return (
+        "one seed"
+        if (least, most) == (1, 1)
+        else f"{least} seeds"
+        if least == most
+        else f"{least} to {most} seeds"
+    )
 
 
-def _caution(values: Values) -> str:
-    """Rows that a speed does not count."""
-    omitted = []
-    if values.elsewhere:
-        omitted.append(f"{counted(values.elsewhere, 'row')} from other processors")
-    if values.disturbed:
-        omitted.append(f"{counted(values.disturbed, 'row')} with a disturbed time")
+def _caution(contest: Contest, values: Values) -> str:
+    """Rows that a speed does not count, and methods of which it counts none."""
+    omitted = [f"{counted(count, 'row')} {why}" for why, count in values.left_out.items()]
+    lacking = [name for name in contest.methods if name not in values.own] if any(values.own.values()) else []
+    omitted += [_listing(lacking, every=True)] if lacking else []
     return f"; without {enumeration(omitted)}" if omitted else ""
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -15,9 +15,11 @@ from econgs_bench.reports.comparability import (
     UNKNOWN,
     Place,
     kind_of,
+    reason,
+    root,
     usual_place,
 )
-from econgs_bench.reports.effects import Cells
+from econgs_bench.reports.effects import Cells, at_shared_seeds
 from econgs_bench.reports.floors import Floor, by_scene
 from econgs_bench.reports.report import Report, once
 from econgs_bench.reports.schema import records
@@ -42,16 +44,21 @@ class Values:
     """A column's values in a contest.
 
     Attributes:
-        cells: method -> its values.
-        elsewhere: number of values from other places, by other rulers or of other versions, left out.
-        disturbed: number of disturbed times, left out.
+        own: method -> its values of all its seeds; all methods have the same scenes.
+        ratio: values are compared by quotient.
+        left_out: why values were left out, as "from other processors" -> how many.
         processor: that all values are from; "" where it does not matter.
     """
 
-    cells: Mapping[str, Cells]
-    elsewhere: int = 0
-    disturbed: int = 0
+    own: Mapping[str, Cells]
+    ratio: bool
+    left_out: Mapping[str, int] = field(default_factory=dict)
     processor: str = ""
+
+    @cached_property
+    def cells(self) -> Mapping[str, Cells]:
+        """Method -> its values of the seeds that all methods share."""
+        return at_shared_seeds(self.own, self.ratio)
 
 
 @dataclass(frozen=True)
@@ -63,7 +70,8 @@ class Contest:
         split: the measured views.
         rows: finished and failed rows of basic scenes, one per dataset, scene, method and seed; a dataset's
             name includes its number of training views where there are several.
-        main: datasets that count for all but robustness: of several numbers of training views the largest.
+        main: datasets that count for all but robustness: of several numbers of training views the largest, of
+            several versions of one dataset one.
         clocks: which speeds were disturbed.
     """
 
@@ -95,22 +103,53 @@ class Contest:
         return tried
 
     @cached_property
+    def attempted(self) -> list[dict[str, Any]]:
+        """The rows of ranked methods, of the scenes and seeds that all of them tried, finished or not.
+
+        Where they share no seed of any scene, of the scenes that all of them tried.
+        """
+        rows = [row for row in self.rows if row["method"] in self.methods]
+        for keys in (("dataset", "scene", "seed"), ("dataset", "scene")):
+            own: dict[str, set[tuple[Any, ...]]] = {}
+            for row in rows:
+                own.setdefault(row["method"], set()).add(tuple(row[key] for key in keys))
+            if common := set.intersection(*own.values()):
+                return [row for row in rows if tuple(row[key] for key in keys) in common]
+        return []
+
+    @cached_property
     def attempts(self) -> dict[str, set[str]]:
-        """Method -> datasets of which it has rows, finished or not, of at least half of the scenes."""
+        """Method -> main datasets of which it has rows, finished or not, of at least half of the scenes."""
         most: dict[str, int] = {}
         for own in self._tried.values():
-            for dataset, scenes in own.items():
-                most[dataset] = max(most.get(dataset, 0), len(scenes))
+            for dataset in self.main & own.keys():
+                most[dataset] = max(most.get(dataset, 0), len(own[dataset]))
         return {
-            name: {dataset for dataset, scenes in own.items() if len(scenes) >= _LEAST_SHARE * most[dataset]}
+            name: {
+                dataset
+                for dataset in self.main & own.keys()
+                if len(own[dataset]) >= _LEAST_SHARE * most[dataset]
+            }
             for name, own in self._tried.items()
         }
 
     @cached_property
     def methods(self) -> list[str]:
-        """The methods that are ranked: those with rows of at least half of the datasets."""
+        """The methods that are ranked: those with rows of at least half of the datasets.
+
+        If these share none, those with the dataset that most of them have.
+        """
         most = max(map(len, self.attempts.values()), default=0)
-        return [name for name, own in self.attempts.items() if len(own) >= _LEAST_SHARE * most]
+        names = [name for name, own in self.attempts.items() if len(own) >= _LEAST_SHARE * most]
+        counts = Counter(
+            dataset
+            for dataset in dict.fromkeys(row["dataset"] for row in self.rows)
+            for name in names
+            if dataset in self.attempts[name]
+        )
+        ((dataset, _),) = counts.most_common(1) or [("", 0)]
+        shared = counts[dataset] == len(names)
+        return [name for name in names if shared or dataset in self.attempts[name]]
 
     @cached_property
     def others(self) -> dict[str, int]:
@@ -119,11 +158,10 @@ class Contest:
 
     @cached_property
     def failures(self) -> dict[str, int]:
-        """Method -> number of its rows that did not finish."""
+        """Method -> number of its rows that did not finish, of what all ranked methods tried."""
         failures = dict.fromkeys(self.methods, 0)
-        for row in self.rows:
-            if row["status"] != "ok" and row["method"] in failures:
-                failures[row["method"]] += 1
+        for row in self.attempted:
+            failures[row["method"]] += row["status"] != "ok"
         return failures
 
     @cached_property
@@ -146,7 +184,8 @@ class Contest:
     def values(self, column: str) -> Values:
         """The values of a column on the datasets where all ranked methods have the scenes that all tried.
 
-        Speeds are of the place with the most datasets, and of the scenes that all have, at least half.
+        Speeds are of the place with the most methods, then datasets, and of the scenes that those methods
+        have there, at least half. Methods that have none of these, two at least being left, are left out.
         """
         rows = [
             row
@@ -157,25 +196,47 @@ class Contest:
             and not absent(row[column])
             and (column == "psnr" or float(row[column]) > 0)  # all else is compared by ratio
         ]
+        ratio = column != "psnr"
         if column not in CLOCKS:
-            return Values(self._common(rows, column))
-        kinds = Counter(kind for row in self.rows if (kind := kind_of(row, column)))
-        disturbed, elsewhere = kinds.pop(DISTURBED, 0), kinds.total()
+            return Values(self._common(rows, column, self.methods), ratio)
+        ranked = [row for row in self.rows if row["method"] in self.methods]
+        left_out = Counter(_why(text) for row in ranked if (text := reason(row, column)))
         placed = [(row, Place.of(row, column)) for row in rows]
         common = {
-            at: (self._common([row for row, place in placed if place.agrees(at)], column), at)
+            at: self._most([row for row, place in placed if place.agrees(at)], column)
             for at in {place for _, place in placed}
         }
         if not common:
-            return Values({}, elsewhere, disturbed)
-        datasets = {at: len(next(iter(cells.values()))) for at, (cells, _) in common.items()}
+            return Values({}, ratio, left_out)
         usual = usual_place(placed)
-        best = max(common, key=lambda at: (datasets[at], at == usual, str(at)))
-        others = sum(not place.agrees(best) for _, place in placed)
-        return Values(common[best][0], elsewhere + others, disturbed, best.text)
 
-    def _common(self, rows: Iterable[Mapping[str, Any]], column: str) -> dict[str, Cells]:
-        cells: dict[str, Cells] = {name: {} for name in self.methods}
+        def weight(at: Place) -> tuple[int, int, bool, str]:
+            cells = common[at]
+            return len(cells), len(next(iter(cells.values()), ())), at == usual, str(at)
+
+        best = max(common, key=weight)
+        for row, place in placed:
+            if not place.agrees(best):
+                left_out[_why(place.difference(best))] += 1
+            elif row["method"] not in common[best]:
+                left_out["of methods with few times"] += 1
+        return Values(common[best], ratio, left_out, best.text)
+
+    def _most(self, rows: Sequence[Mapping[str, Any]], column: str) -> dict[str, Cells]:
+        """Values of as many methods as have a dataset in common, without those with the fewest rows."""
+        counts = Counter(row["method"] for row in rows)
+        methods = [name for name in self.methods if counts[name]]
+        while len(methods) > 1:
+            cells = self._common([row for row in rows if row["method"] in methods], column, methods)
+            if any(cells.values()):
+                return cells
+            methods.remove(min(reversed(methods), key=lambda name: counts[name]))
+        return {}
+
+    def _common(
+        self, rows: Iterable[Mapping[str, Any]], column: str, methods: Iterable[str]
+    ) -> dict[str, Cells]:
+        cells: dict[str, Cells] = {name: {} for name in methods}
         for row in rows:
             scenes = cells[row["method"]].setdefault(row["dataset"], {})
             scenes.setdefault(row["scene"], {})[row["seed"]] = float(row[column])
@@ -212,10 +273,7 @@ def contests(results: pd.DataFrame) -> list[Contest]:
     Args:
         results: the table `results` of :func:`.reports.tables.protocols.by_protocol`.
     """
-    grouping = results.get(GROUPING, "")
-    default = (results["kind"] == "basic") & (results["variant"].fillna("").map(without_drawing) == grouping)
-    rows = results[default & results["rate"].isna() & ~results["dataset"].str.endswith(UNKNOWN)]
-    rows = contestants(drawn_as_means(rows))
+    rows = by_default(results, "basic")
     contests = []
     for (preset, split), every in rows.groupby(["preset", "split"], dropna=False, sort=False):
         # Datasets with one method compare nothing.
@@ -227,12 +285,41 @@ def contests(results: pd.DataFrame) -> list[Contest]:
     return sorted(contests, key=lambda each: -sum(len(each.attempts[name]) for name in each.methods))
 
 
+def by_default(results: pd.DataFrame, kind: str) -> pd.DataFrame:
+    """Rows of default options, of a kind, with the names of contestants and a known truth."""
+    own = results["variant"].fillna("").map(without_drawing) == results.get(GROUPING, "")
+    known = results["rate"].isna() & ~results["dataset"].str.endswith(UNKNOWN)
+    return contestants(drawn_as_means(results[(results["kind"] == kind) & own & known]))
+
+
+def _why(text: str) -> str:
+    """Why a time is left out, in words for a number of rows."""
+    kind, _, rest = text.partition(": ")
+    words = {
+        DISTURBED: "with a disturbed time", "another clock": "timed by other programs",
+        "another ruler": "timed by other versions of the harness",
+    }  # fmt: skip
+    return words.get(kind) or (
+        "with other threads" if rest.startswith("timed with") else "from other processors"
+    )
+
+
 def _main(rows: pd.DataFrame) -> frozenset[str]:
-    """The datasets with the most training views of their kind; those set apart where there are no others."""
-    apart = [kind_of(row, DATASET) != "" for row in records(rows)]
-    if not all(apart):
-        rows = rows[[not one for one in apart]]
+    """The datasets with the most training views of their kind.
+
+    One that is set apart counts where there is no other: of several that with the most methods and scenes.
+    """
+    import pandas as pd
+
     whole = rows[ORIGIN].fillna(rows["dataset"]) if ORIGIN in rows else rows["dataset"]
+    apart = pd.Series([kind_of(row, DATASET) != "" for row in records(rows)], rows.index, dtype=bool)
+    roots = whole.map(root)
+    models = rows[apart].groupby(whole[apart])[["method", "scene"]].value_counts().groupby(level=0).size()
+    versions: dict[str, str] = {}
+    for name in sorted(models.index, key=lambda name: (-models[name], name)):
+        versions.setdefault(root(name), name)
+    counts = ~apart | (~roots.isin(roots[~apart]) & whole.isin(versions.values()))
+    rows, whole = rows[counts], whole[counts]
     views = rows["requested_views"].fillna(0)
     most = views.groupby(whole).transform("max")
     return frozenset(rows.loc[views == most, "dataset"])

@@ -31,7 +31,7 @@ def reference(contest: Contest) -> str:
 
 
 def marks(contest: Contest, column: str) -> list[Mark]:
-    """All ranked methods but the reference, on the datasets where all have the cost.
+    """All ranked methods but the reference, on the datasets where all have the cost; none if it lacks that.
 
     Args:
         contest: the methods and rows.
@@ -41,7 +41,7 @@ def marks(contest: Contest, column: str) -> list[Mark]:
     base = reference(contest)
     all_marks = []
     for method in contest.methods:
-        if method == base or method not in costs:
+        if method == base or method not in costs or base not in costs:
             continue
         cost = effect(costs[method], costs[base], 1, ratio=True)
         quality = effect(

@@ -167,7 +167,12 @@ def _place(climb: Row) -> str:
     if climb["failure"] is None:
         return _HOLDS if len(climb["outcomes"]) == climb["rungs"] else _UNKNOWN
     kind = "" if climb["failure"] == "quality" else f" ({climb['failure']})"
-    return f"{climb['rung']}{kind}"
+    return f"{_rung(climb)}{kind}"
+
+
+def _rung(climb: Row) -> str:
+    """The rung of a climb's first break."""
+    return climb["rung"] if climb["place"] else "the usual run"
 
 
 def title(climb: Row, climbs: Sequence[Row]) -> str:
@@ -179,7 +184,7 @@ def title(climb: Row, climbs: Sequence[Row]) -> str:
 def words(climb: Row) -> str:
     """A first break, as "views=6 on vis_male/skin: quality, -3.4 dB"."""
     where = f" on {climb['subject']}" if climb["subject"] else ""
-    return f"{climb['rung']}{where}: {', '.join(filter(None, [climb['failure'], amount(climb)]))}"
+    return f"{_rung(climb)}{where}: {', '.join(filter(None, [climb['failure'], amount(climb)]))}"
 
 
 def amount(climb: Row) -> str:
@@ -201,7 +206,7 @@ def summary(climbs: Iterable[Row]) -> list[str]:
     lines = []
     for name, own in methods.items():
         rungs = sum(place > 0 for climb in own for place in climb["outcomes"])
-        breaks = [f"{climb['rung']} ({climb['failure']})" for climb in own if climb["failure"] is not None]
+        breaks = [f"{_rung(climb)} ({climb['failure']})" for climb in own if climb["failure"] is not None]
         text = f"breaks at {', '.join(breaks)}" if breaks else "nothing breaks"
         lines.append(
             f"{label(*name):<{width}}  holds {sum(map(held, own))} of {counted(rungs, 'rung')}; {text}"

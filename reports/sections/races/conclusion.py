@@ -18,7 +18,7 @@ import numpy as np
 
 from econgs_bench.reports import floors
 from econgs_bench.reports.charts.tradeoff import XY
-from econgs_bench.reports.effects import Cells, Effect, effect
+from econgs_bench.reports.effects import Cells, Effect, at_shared_seeds, leads, mean_of
 from econgs_bench.reports.family import Family, largest
 from econgs_bench.reports.floors import Floor
 from econgs_bench.reports.fronts import interpolated, pareto
@@ -202,16 +202,15 @@ class Race:
         return [lead for limit in limits if (lead := self._lead(limit)) is not None]
 
     def _lead(self, limit: float) -> Lead | None:
-        means = {name: mean for name in self.fronts if (mean := self.mean(name, limit)) is not None}
-        if not means:
+        cells = {name: {self.dataset: own} for name in self.fronts if (own := self.reached(name, limit))}
+        if not cells:
             return None
+        shared = at_shared_seeds(cells, ratio=False)
+        means = {name: mean_of(own, ratio=False) for name, own in shared.items()}
         order = sorted(means, key=lambda name: -means[name])
-        first = self._cells(order[0], limit)
-        rivals = [(name, effect(first, self._cells(name, limit), 1, ratio=False)) for name in order[1:]]
-        known = tuple((name, ahead) for name, ahead in rivals if ahead is not None)
-        assert len(known) == len(rivals)  # all have this dataset's scenes
+        rivals = tuple(zip(order[1:], leads(order, cells, 1, ratio=False)[0], strict=True))
         best = order[0]
-        return Lead(limit, best, means[best], self._expense(best, limit), known)
+        return Lead(limit, best, means[best], self._expense(best, limit), rivals)
 
     def closeness(self, lead: Lead, family: Family) -> str:
         """Where the leader, or who is next to it, comes near to the noise floor of the truth; "" nowhere."""
@@ -323,8 +322,8 @@ def _limit(race: Race, lead: Lead, family: Family) -> str:
     remarks = []
     if lead.starters < len(race.fronts):
         remarks.append(f"{lead.starters} of {len(race.fronts)} methods")
-    if lead.rivals and max(ahead.seeds[1] for _, ahead in lead.rivals) == 1:
-        remarks.append("one seed")
+    if lead.rivals and (most := max(ahead.seeds[1] for _, ahead in lead.rivals)) < 2:
+        remarks.append("one seed" if most else "no common seed")
     if near := race.closeness(lead, family):
         remarks.append(near)
     return race.discipline.text(lead.limit) + (f" [{', '.join(remarks)}]" if remarks else "")

@@ -115,7 +115,7 @@ def test_a_tie_has_no_winner():
     tables = [*pair([0.0, 0.0, 0.0])]
     answered = answers(contest(*tables), table(*tables), NO_LADDERS)
     assert {answer.winner for answer in answered} == {""}
-    assert "0.00 dB higher" in of(answered, "Best picture").sentence
+    assert "30.00 dB of both a and b on 3 datasets" in of(answered, "Best picture").sentence
 
 
 def test_one_scene_with_one_seed_decides_nothing():
@@ -298,7 +298,7 @@ def test_a_time_of_zero_is_no_time():
     """Tables of other tools may round to whole seconds."""
     rows = [*pair([0.0] * 4)]
     rows[0]["train_seconds"] = 0.0
-    assert "on 0 of 3 datasets" in measured(TRAINING, contest(*rows)).sentence
+    assert "of both a and b on 3 datasets" in measured(TRAINING, contest(*rows)).sentence
 
 
 def test_variants_rates_and_choices_of_scenes_are_not_compared():
@@ -406,3 +406,102 @@ def test_other_options_beside_a_drawing_take_no_part():
     rows = drawings(options="{}")
     changed = [one | {"variant": "resolution=64,samples=16"} if one["variant"] else one for one in rows]
     assert contest(*changed).methods == ["3dgs", "plenoxels"]
+
+
+def test_a_method_behind_at_every_shared_seed_never_wins():
+    """Its mean is higher by seeds that the other lacks."""
+    rows = [row("a", psnr, f"d{i}", seed=seed) for i in range(3) for seed, psnr in enumerate((30, 36, 36))]
+    rows += [row("b", 32.0 + 0.1 * i, f"d{i}") for i in range(3)]
+    answer = measured(PICTURE, contest(*rows))
+    assert answer.winner == "b"
+    assert answer.sentence.startswith("b, 32.10 dB: 2.10 dB higher than a (")
+    robust = of(answers(contest(*rows), table(*rows), NO_LADDERS), ROBUST)
+    assert robust.sentence.startswith("b: never behind another method; a: behind the best method")
+
+
+def test_a_lead_is_over_the_seeds_of_both_but_never_against_those_of_all():
+    """c has one seed; a leads b by all their seeds, and by that of c."""
+    own = {"a": (33, 34, 35), "b": (32, 32.5, 34.5), "c": (20,)}
+    rows = [
+        row(name, psnr, f"d{i}", seed=seed)
+        for i in range(3)
+        for name, each in own.items()
+        for seed, psnr in enumerate(each)
+    ]
+    answer = measured(PICTURE, contest(*rows))
+    assert {place.method: place.value for place in answer.places} == pytest.approx(
+        {"a": 33, "b": 32, "c": 20}
+    )
+    assert "a, 34.00 dB, is 1.00 dB higher than b (33.00 dB;" in answer.sentence
+    assert "3 seeds" in answer.sentence
+    turned = [one | {"psnr": one["psnr"] - 6.0 * (one["method"] == "a" and one["seed"] > 0)} for one in rows]
+    answer = measured(PICTURE, contest(*turned))
+    assert "33.00 dB" in answer.sentence, "by the seed of all three, a is first"
+    assert "one seed" in answer.sentence
+
+
+def test_methods_without_a_common_seed_are_compared_by_means_and_it_is_said():
+    rows = [row("a", 31.0, f"d{i}", seed=0) for i in range(3)] + [
+        row("b", 30.0, f"d{i}", seed=1) for i in range(3)
+    ]
+    assert "no common seed" in measured(PICTURE, contest(*rows)).sentence
+
+
+def test_robustness_counts_what_all_methods_tried():
+    values = {
+        "a": {"easy": 40.0, "plain": 40.0, "hard": 30.0, "hardest": None},
+        "b": {"easy": 41.0, "plain": 41.0, "hard": 20.0},
+        "c": {"easy": 39.5, "plain": 39.5},
+    }
+    rows = [
+        row(name, psnr, scene=scene, **({} if psnr else {"status": "failed"}))
+        for name, scenes in values.items()
+        for scene, psnr in scenes.items()
+    ]
+    robust = of(answers(contest(*rows), table(*rows), NO_LADDERS), ROBUST)
+    assert {place.method: place.value for place in robust.places} == {"b": 0.0, "a": 1.0, "c": 1.5}
+    assert "failed" not in robust.sentence
+    assert "The worst of 2 scenes." in robust.sentence
+
+
+def test_methods_of_other_datasets_leave_the_rest_their_answer():
+    rows = [*pair([1.0, 1.0], "a", "b"), row("c", 20.0, "e0"), row("d", 21.0, "e0"), row("c", 20.0, "e1")]
+    found = contest(*rows, row("d", 21.0, "e1"))
+    assert found.methods == ["a", "b"]
+    assert "Not ranked, as measured on fewer or other datasets: c (2), d (2)." in scope(found)
+    assert "1.00 dB higher" in measured(PICTURE, found).sentence
+
+
+def test_one_dataset_in_several_versions_counts_once():
+    """Other rays a pixel make other truths of one scene."""
+    apart = {
+        f"d, {words}": '{"dataset": "another setting: truth"}'
+        for words in ("one ray a pixel", "4 rays a pixel")
+    }
+    rows = [
+        row(name, psnr, dataset, differences=why)
+        for dataset, why in apart.items()
+        for name, psnr in (("a", 31.0), ("b", 30.0))
+    ]
+    answer = measured(PICTURE, contest(*rows))
+    assert "better on 1 of 1 dataset" in answer.sentence
+    assert "no interval" in answer.sentence
+
+
+def test_another_programs_clock_leaves_the_others_their_answer():
+    rows = [
+        row(name, 30.0, f"d{i}", fps=fps + i, ruler=ruler)
+        for i in range(3)
+        for name, fps, ruler in (("a", 100.0, 3), ("b", 80.0, 3), ("c", 900.0, 0))
+    ]
+    answer = measured(DRAWING, contest(*rows))
+    assert answer.winner == "a"
+    assert answer.sentence.endswith("; without 3 rows timed by other programs and c.")
+
+
+def test_edits_of_another_split_are_not_counted():
+    rows = list(pair([1.0, 1.0, 1.0]))
+    rows += [row("a", 30.0, "d0", kind="edited", edit="opacity=2")]
+    rows += [row("b", 40.0, "d0", kind="edited", edit="opacity=2", split="val")]
+    found = of(answers(contest(*rows), table(*rows), NO_LADDERS), EDITABLE)
+    assert found.sentence == "a makes 1 of 1; not tried: b."
