@@ -413,8 +413,8 @@ def _factor(value: float) -> str:
 
 def _seeds(lead: Effect) -> str:
     least, most = lead.seeds
-    if most == 0:
-        return "no common seed"
+    if least == 0:
+        return "no common seed" if most == 0 else "no common seed of some scenes"
     return (
         "one seed"
         if (least, most) == (1, 1)
