@@ -7,23 +7,25 @@ import re
 import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from econgs_bench.bench.__main__ import main
 from econgs_bench.bench.api import Runs
 from econgs_bench.bench.commands.results import print_answers
 from econgs_bench.bench.results.bundle import write_bundle
-from econgs_bench.bench.results.tables import build_tables, derived
+from econgs_bench.bench.results.tables import _rivals_together, build_tables, derived
 from econgs_bench.bench.store.lineage import Lineage
 from econgs_bench.bench.store.store import Store
 from econgs_bench.methods.registry import Registry
 from econgs_bench.reports.charts import svg
-from econgs_bench.reports.comparability import kind_of, sentences
+from econgs_bench.reports.comparability import compared, kind_of, sentences
 from econgs_bench.reports.page.document import write_report
 from econgs_bench.reports.report import Report
-from econgs_bench.reports.schema import records
+from econgs_bench.reports.schema import frame, records
 from econgs_bench.reports.sections.answers.conclusion import CRITERIA
 from econgs_bench.reports.sections.answers.contest import of_report as contest_of
 from econgs_bench.reports.sections.order import charts
@@ -165,6 +167,32 @@ def test_no_mean_is_of_several_truths_or_versions(planted) -> None:
     for _, own in timed.groupby(["dataset", "preset", "split"], dropna=False):
         for column in ("processor", "threads", "device", "ruler"):
             assert own[column].nunique() == 1, column
+
+
+def test_rows_of_one_truth_follow_each_other(planted) -> None:
+    _, _, report = planted
+    datasets = report.tables["results"]["dataset"].tolist()
+    assert len(list(groupby(datasets))) == len(set(datasets))
+
+
+def test_a_ladder_is_climbed_on_one_truth() -> None:
+    """Rungs of another content, or of a model of another version, are no seeds of the same climb."""
+    before = pd.Series(["own", "own", "own", "own"])
+    jobs = pd.DataFrame({"job": list("abcd"), "dataset": ["own", "own [52b3]", "own", "own [52b3]"]})
+    climbed = pd.DataFrame(
+        {"job": list("abcd"), "ladder": ["far", "far", "far", "far"], "subject": "own/blob"}
+    )
+    scenes = pd.DataFrame({"job": list("bc"), "ladder": "scenes", "subject": ["", ""]})
+    rungs = pd.concat([climbed, scenes], ignore_index=True)
+    tables = _rivals_together({"jobs": jobs, "rungs": rungs, "results": jobs[["job"]]}, before)
+    assert tables["results"]["job"].tolist() == list("acbd")
+    assert tables["rungs"][["job", "ladder", "subject"]].values.tolist() == [
+        ["a", "far", "own/blob"], ["c", "far", "own/blob"],
+        ["b", "far", "own [52b3]/blob"], ["d", "far", "own [52b3]/blob"],
+        ["c", "scenes", ""], ["b", "scenes", "[52b3]"],
+    ]  # fmt: skip
+    left = frame("results", [{"job": "c", "differences": '{"row": "another version: 0"}'}, {"job": "a"}])
+    assert compared({"results": left, "rungs": rungs})["rungs"]["job"].tolist() == list("abdb")
 
 
 def test_charts_of_times_are_without_what_is_left_out(planted) -> None:
