@@ -20,6 +20,7 @@ from econgs_bench.datasets.errors import DataError
 LIMIT = 2**29
 """Bytes of arrays that are held together, up to which they lie in memory."""
 _ALIGNMENT = 64
+_PART = 1 << 24
 
 
 def cache_root() -> Path:
@@ -54,18 +55,19 @@ def new_array(shape: Sequence[int], dtype: Any, together: int = 0) -> NDArray[An
 
 
 def converted(values: NDArray[Any], dtype: Any) -> NDArray[Any]:
-    """A copy of another type, made part by part along the first axis."""
+    """A copy of another type, made part by part along the first axis; of any number of axes."""
     result = new_array(values.shape, dtype)
-    for part, out in zip(values, result, strict=True):
-        out[...] = part
+    step = max(1, _PART * len(values) // max(values.nbytes, 1))
+    for start in range(0, len(values), step):
+        result[start : start + step] = values[start : start + step]
     return result
 
 
 def picked(array: NDArray[Any], places: Sequence[int]) -> NDArray[Any]:
     """A copy of the parts at some places of the first axis."""
     result = new_array((len(places), *array.shape[1:]), array.dtype)
-    for out, place in zip(result, places, strict=True):
-        out[...] = array[place]
+    for k, place in enumerate(places):
+        result[k] = array[place]
     return result
 
 

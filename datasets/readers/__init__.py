@@ -32,6 +32,8 @@ _SINGLE = {
     ".nii.gz": "nifti",
     ".img": "nifti",
     ".hdr": "nifti",
+    ".img.gz": "nifti",
+    ".hdr.gz": "nifti",
 }
 _CONTAINERS = {
     ".npz": "npz",

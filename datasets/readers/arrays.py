@@ -1,6 +1,7 @@
 """Fields among named arrays: the conventions shared by NetCDF, HDF5, Zarr and NumPy's files.
 
-The last three axes of an array are z, y, x; a leading one is time, or by its name channels.
+The last three axes of an array are z, y, x; a leading one is time, or by its name channels. An axis of
+time or channels elsewhere, and one that follows x, y and z, counts as leading: by its name too.
 Arrays without named dimensions hold vectors if they have a fourth axis and the last axis has 2 to 4 entries.
 Positions come from coordinate variables (NetCDF's, HDF5's dimension scales, or arrays ``x``, ``y``, ``z`` of
 fitting length). Missing values become the volume's mask: NaN of NetCDF and HDF5 files, ``_FillValue``,
@@ -22,12 +23,19 @@ from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.readers.axes import place
 from econgs_bench.datasets.readers.container import Array, Container
 from econgs_bench.datasets.readers.fields import Choice, Field, Variable, channels_of, scalar
-from econgs_bench.datasets.readers.lengths import in_one_unit
+from econgs_bench.datasets.readers.finish import unpacked
+from econgs_bench.datasets.readers.lengths import in_one_unit, metres
 from econgs_bench.datasets.readers.notices import notice
 from econgs_bench.datasets.scratch import converted, new_array
 
 _TIME = ("time", "t", "times", "step", "time_step")
 _CHANNEL = ("c", "channel", "channels")
+_SPACE = {
+    "x": "x", "lon": "x", "longitude": "x", "y": "y", "lat": "y", "latitude": "y", "z": "z", "lev": "z",
+    "level": "z", "depth": "z", "height": "z", "altitude": "z", "plev": "z",
+}  # fmt: skip
+"""Names of axes of space, in any order."""
+_COLORS = 4
 _DEFAULT_FILL: dict[str, float] = {
     "f4": 9.969209968386869e36, "f8": 9.969209968386869e36, "i2": -32767, "u2": 65535, "i4": -2147483647,
     "u4": 4294967295, "i8": -9223372036854775806, "u8": 18446744073709551614,
@@ -48,10 +56,18 @@ class Arrays:
     def __init__(self, path: Path, container: Container, missing: bool, netcdf: bool = False) -> None:
         self.path, self._file, self._missing, self._netcdf = path, container, missing, netcdf
         variables = []
-        for array in list(container.arrays.values())[:_MOST]:
+        self._arranged: dict[str, tuple[Array, tuple[int, ...]]] = {}
+        for stored in list(container.arrays.values())[:_MOST]:
+            order = self._order(stored)
+            array = replace(
+                stored,
+                shape=tuple(stored.shape[axis] for axis in order),
+                dims=tuple(stored.dims[axis] for axis in order),
+            )
             variable = variable_of(array)
             if variable is not None and not self._is_series_of_pictures(array):
                 variables.append(variable)
+                self._arranged[array.name] = array, order
         self.variables = tuple(variables)
         if not variables:
             shapes = ", ".join(f"{a.name} {list(a.shape)}" for a in list(container.arrays.values())[:8])
@@ -60,8 +76,9 @@ class Arrays:
 
     def read(self, choice: Choice) -> Field:
         """The values of one choice."""
-        array, variable = self._file.arrays[choice.variable.name], choice.variable
-        values = _viewed(self._at_step(array, variable, choice.step), array)
+        variable = choice.variable
+        array, order = self._arranged[variable.name]
+        values = _viewed(self._at_step(array, order, variable, choice.step), array)
         mask = self._valid(values, array)
         values = _unpacked(values, array)
         if variable.components > 1:
@@ -74,12 +91,29 @@ class Arrays:
     def _is_series_of_pictures(self, array: Array) -> bool:
         if not any(array.dims):
             return False
-        name = array.dims[-3]
+        colors = _last(array.dims[-1]) in _CHANNEL and array.shape[-1] <= _COLORS
+        return colors or self._is_time(array.dims[-3])
+
+    def _is_time(self, name: str) -> bool:
         positions = self._file.arrays.get(name)
         units = "" if positions is None else str(positions.attributes.get("units", ""))
-        return _last(name) in _TIME or " since " in units
+        return bool(name) and (_last(name) in _TIME or " since " in units)
 
-    def _at_step(self, array: Array, variable: Variable, step: int) -> NDArray[Any]:
+    def _order(self, array: Array) -> tuple[int, ...]:
+        """The axes with those of space last, as far as names tell."""
+        axes = tuple(range(len(array.shape)))
+        if len(axes) < 3 or not any(array.dims):
+            return axes
+        names = [_last(name) for name in array.dims]
+        times = [axis for axis in axes if self._is_time(array.dims[axis])]
+        first = [axis for axis in times if axis in axes[-3:]]
+        if len(axes) - len(times) > 3:  # of three axes none is left over for channels
+            first += [axis for axis in axes[-3:] if names[axis] in _CHANNEL and axis not in first]
+            if not first and names[-1] not in _SPACE and len({_SPACE.get(n) for n in names} - {None}) == 3:
+                first = [axes[-1]]
+        return (*first, *(axis for axis in axes if axis not in first))
+
+    def _at_step(self, array: Array, order: tuple[int, ...], variable: Variable, step: int) -> NDArray[Any]:
         """Values (z, y, x) or (z, y, x, components)."""
         inner = 4 if variable.components > 1 and not any(array.dims) else 3
         leading = array.shape[:-inner]
@@ -87,7 +121,11 @@ class Arrays:
             return self._file.read(array.name)
         channel = _channel_axis(array)
         at = [step if n == variable.steps and n > 1 else 0 for n in leading]
-        values = self._file.read(array.name, None if channel == 0 else at[0])
+        if order == tuple(range(len(order))):
+            values = self._file.read(array.name, None if channel == 0 else at[0])
+        else:
+            whole = self._file.read(array.name).transpose(order)
+            values = converted(whole if channel == 0 else whole[at[0]], whole.dtype)
         index = [slice(None) if axis == channel else at[axis] for axis in range(len(leading))]
         values = values[tuple(index if channel == 0 else index[1:])]
         return values if channel is None else np.moveaxis(values, 0, -1)
@@ -189,7 +227,9 @@ def _last(name: str) -> str:
 
 
 def _unit(array: Array) -> str:
-    unit = str(array.attributes.get("units", "")).strip().lower()
+    unit = str(array.attributes.get("units", "")).strip()
+    if metres(unit) is None:
+        unit = unit.lower()
     return "degrees" if unit.startswith("degree") else unit
 
 
@@ -245,10 +285,4 @@ def _packing(array: Array) -> tuple[float, float]:
 
 
 def _unpacked(values: NDArray[Any], array: Array) -> NDArray[Any]:
-    scale, offset = _packing(array)
-    if scale == 1.0 and offset == 0.0:
-        return values
-    out = converted(values, np.float32 if values.dtype.itemsize <= 2 else np.float64)
-    out *= scale
-    out += offset
-    return out
+    return unpacked(values, *_packing(array))

@@ -11,14 +11,16 @@ _METRES = {
     "dam": 10.0, "decameter": 10.0, "hm": 100.0, "hectometer": 100.0, "km": 1e3, "kilometer": 1e3,
     "in": 0.0254, "inch": 0.0254, "ft": 0.3048, "foot": 0.3048, "yd": 0.9144, "yard": 0.9144, "mi": 1609.344,
     "mile": 1609.344, "pc": 3.0856775814913673e16, "parsec": 3.0856775814913673e16, "ly": 9.4607304725808e15,
-    "ua": 149597870700.0, "au": 149597870700.0,
+    "ua": 149597870700.0, "au": 149597870700.0, "Mm": 1e6, "megameter": 1e6, "Gm": 1e9, "gigameter": 1e9,
+    "Tm": 1e12, "Pm": 1e15, "Em": 1e18, "fm": 1e-15, "femtometer": 1e-15,
 }  # fmt: skip
 
 
 def metres(unit: str) -> float | None:
     """Metres of a unit of length, by its symbol or its English name; None for anything else.
 
-    Symbols are those of the OME model; "micrometre", "microns" and capital letters are the same unit.
+    Symbols are those of the OME model; "micrometre", "microns" and capital letters are the same unit,
+    but "Mm" is no "mm".
     """
     name = unit.strip().strip('"').replace("metre", "meter").rstrip(".")
     for spelling in (name, name.lower(), name.lower().removesuffix("s")):

@@ -13,7 +13,13 @@ from numpy.typing import NDArray
 
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.readers.fields import Variable, channels_of
-from econgs_bench.datasets.readers.finish import Spacing, check_expansion, positive_dims, wrong_size
+from econgs_bench.datasets.readers.finish import (
+    Spacing,
+    check_expansion,
+    positive_dims,
+    unpacked_type,
+    wrong_size,
+)
 from econgs_bench.datasets.readers.notices import notice
 from econgs_bench.datasets.readers.single import Single
 
@@ -41,13 +47,19 @@ def open_nifti(path: Path) -> Single:
     if len(dims) < 3 or len(dims) > 5 or (colors and components > 1):
         positive_dims(dims, path)
     positive_dims(dims[:3], path)
+    if min(dims) < 1:
+        text = " x ".join(map(str, dims))
+        raise DataError(path, f"has no samples (size {text})", "Write it again with positive dims")
     if not colors and (dtype.kind not in "iuf" or dtype.itemsize > 8):
         raise DataError(path, f"values of type {dtype} are no scalar field", _REMEDY)
-    expected, size = math.prod(dims) * dtype.itemsize, path.stat().st_size
-    if _is_gzip(path):
-        check_expansion(path, size, expected, dims, dtype.name)
+    at = Path(image.file_map["image"].filename or path)  # of a pair, the file of the values
+    if not at.is_file():
+        raise DataError(path, f"its data file {at} does not exist", "Keep header and data together")
+    expected, size = math.prod(dims) * dtype.itemsize, at.stat().st_size
+    if _is_gzip(at):
+        check_expansion(at, size, expected, dims, dtype.name)
     elif size < expected:
-        raise wrong_size(path, expected, f"{size} bytes", dims, dtype.name)
+        raise wrong_size(at, expected, f"{size} bytes", dims, dtype.name)
 
     def load(step: int) -> NDArray[np.generic]:
         try:
@@ -63,8 +75,9 @@ def open_nifti(path: Path) -> Single:
             values = np.stack([values[name] for name in values.dtype.names], axis=-1)
         values = values.reshape(*dims[:3], *([parts] if parts > 1 else []))
         if values.dtype == np.float64 and dtype.itemsize < 4:
-            # Slope and intercept turned small integers into float64: single precision holds all their values.
-            values = values.astype(np.float32)
+            # Slope and intercept turned small integers into float64.
+            packing = image.dataobj.slope, image.dataobj.inter
+            values = values.astype(unpacked_type(dtype, *packing), copy=False)
         return np.asarray(values.transpose(2, 1, 0, *range(3, values.ndim)))
 
     x, y, z = dims[:3]
@@ -83,7 +96,14 @@ def _image(path: Path) -> Any:
     import nibabel
 
     name = path.name.lower()
-    if name.endswith((".img", ".hdr")) or name.endswith(".nii.gz" if _is_gzip(path) else ".nii"):
+    if name.endswith((".img", ".hdr", ".img.gz", ".hdr.gz")):
+        pair: Any = nibabel.load(path)
+        values = Path(pair.file_map["image"].filename)
+        packed = values.with_name(f"{values.name}.gz")
+        if packed.is_file() and not values.exists():  # an open header beside packed values
+            pair = type(pair).from_file_map(pair.file_map | {"image": nibabel.FileHolder(str(packed))})
+        return pair
+    if name.endswith(".nii.gz" if _is_gzip(path) else ".nii"):
         return nibabel.load(path)
     file: Any = gzip.open(path) if _is_gzip(path) else path.open("rb")  # noqa: SIM115 (read on demand)
     second = int.from_bytes(file.read(4), sys.byteorder) in _NIFTI2

@@ -34,6 +34,7 @@ _REMEDY = "Write it again, for example with pynrrd: one scalar field, raw or gzi
 _COMPONENTS = ("vector", "point", "normal", "gradient", "complex", "quaternion", "matrix")
 _COLORS = ("rgb-color", "rgba-color", "3-color", "4-color")
 _SPACE = ("domain", "space", "")
+_UNKNOWN = ("???", "none", "")
 
 
 def open_nrrd(path: Path) -> Single:
@@ -64,6 +65,10 @@ def open_nrrd(path: Path) -> Single:
     positive_dims(dims, path)
     positive_dims((*sizes, 1, 1, 1)[:3] if min(sizes) > 0 else sizes[:3], path)
     dtype = _dtype(kind, big, path)
+    if dtype.itemsize > 1 and "endian" not in header:
+        raise DataError(
+            path, "does not say its byte order", 'Add the field "endian: little", or "endian: big"'
+        )
     detached = header.get("data file", header.get("datafile"))
     if isinstance(detached, list) or "%" in str(detached) or str(detached).startswith("LIST"):
         raise DataError(path, "its data lie in several files", _REMEDY)
@@ -92,22 +97,26 @@ def open_nrrd(path: Path) -> Single:
 
 
 def _apart(header: dict[str, Any], sizes: tuple[int, ...]) -> list[int]:
-    """Axes that are not of space: by their kinds, else by their directions, else of one sample or last."""
-    if len(sizes) <= 3:
-        return []
+    """Axes that are not of space: by their kinds, else by their directions, else of one sample or last.
+
+    Of up to three axes none may be apart: what has one is a picture of colors, vectors or times.
+    """
+    axes = range(len(sizes))
     kinds = [str(kind).lower() for kind in header.get("kinds", [])]
+    kinds = kinds if len(kinds) == len(sizes) else [""] * len(sizes)
     directions = header.get("space directions")
-    if len(kinds) == len(sizes):
-        found = [i for i, kind in enumerate(kinds) if kind not in _SPACE]
-    elif directions is not None and len(directions) == len(sizes):
-        found = [
-            i for i, row in enumerate(directions) if row is None or np.isnan(np.asarray(row, float)).all()
-        ]
-    else:
-        found = []
-    if len(sizes) - len(found) != 3:
-        ones = [i for i, n in enumerate(sizes) if n == 1]
-        found = ones if len(sizes) - len(ones) == 3 else [3] if len(sizes) == 4 else []
+    rows = directions if directions is not None and len(directions) == len(sizes) else []
+    apart = [i for i in axes if kinds[i] not in _SPACE]
+    named = [i for i in apart if kinds[i] not in _UNKNOWN]
+    aimless = [i for i, row in enumerate(rows) if row is None or np.isnan(np.asarray(row, float)).all()]
+    if len(sizes) <= 3:
+        found = aimless if set(kinds) <= set(_UNKNOWN) else named
+        return found if len(found) < len(sizes) else []
+    ones = [i for i in axes if sizes[i] == 1]
+    found = next(
+        (choice for choice in (named, apart, aimless, ones) if len(sizes) - len(choice) == 3),
+        [3] if len(sizes) == 4 else [],
+    )
     return found if sum(sizes[i] > 1 for i in found) <= 1 else []
 
 
@@ -119,13 +128,18 @@ def _dtype(kind: str, big: bool, path: Path) -> np.dtype:
 
 
 def _spacing(header: dict[str, Any], axes: list[int]) -> Spacing | None:
-    """Length of each space direction, or the plain spacings, in one unit; None where an axis has neither."""
+    """Length of each space direction, the plain spacings, or those of the axes' ends, in one unit.
+
+    None where an axis has none of them.
+    """
     if "space directions" in header:
         rows = list(header["space directions"])
         lengths = [math.nan if row is None else float(np.linalg.norm(np.asarray(row, float))) for row in rows]
     elif "spacings" in header:
         lengths = [float(s) for s in header["spacings"]]
     else:
+        lengths = _between_ends(header)
+    if len(lengths) != len(header["sizes"]):
         return None
     units = [str(unit) for unit in header.get("units", header.get("space units", []))]
     lengths = [lengths[i] for i in axes]
@@ -136,6 +150,19 @@ def _spacing(header: dict[str, Any], axes: list[int]) -> Spacing | None:
     if len(lengths) != 3 or not all(math.isfinite(s) and s != 0.0 for s in lengths):
         return None
     return abs(lengths[0]), abs(lengths[1]), abs(lengths[2])
+
+
+def _between_ends(header: dict[str, Any]) -> list[float]:
+    """Sample distances by the ends of the axes: of their cells, unless samples lie at the ends."""
+    ends = [header.get(f"axis {end}", header.get(f"axis{end}", ())) for end in ("mins", "maxs")]
+    centers = header.get("centers", header.get("centerings", ""))
+    centers = centers.split() if isinstance(centers, str) else [str(center) for center in centers]
+    sizes = [int(n) for n in header["sizes"]]
+    centers = centers if len(centers) == len(sizes) else [""] * len(sizes)
+    return [
+        (float(high) - float(low)) / max(n - (center.lower() == "node"), 1)
+        for low, high, n, center in zip(*ends, sizes, centers, strict=False)
+    ]
 
 
 def _data(

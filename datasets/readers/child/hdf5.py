@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import h5py
@@ -14,6 +16,9 @@ from econgs_bench.datasets.readers.child.parts import Slabs
 
 _SLAB = 1 << 24
 _MOST = 10_000
+_DEFLATE_LIMIT = 1032
+_SPARSE, _ROOM = 1 << 16, 1 << 30
+"""A dataset with absent chunks is at most so many times larger than what is stored, and so many bytes."""
 _NO_POSITIONS = "This is a netCDF dimension but not a netCDF variable"
 
 
@@ -51,16 +56,88 @@ class Hdf5:
         count = int(np.prod(shape, dtype=object)) if shape else 1
         size = count * item.dtype.itemsize
         offset = item.id.get_offset()
-        if offset is not None and item.chunks is None and not item.external and not item.compression:
+        plain = item.chunks is None and not item.external and not item.compression
+        if offset is not None and plain and _is_as_in_memory(item):
             # Contiguous: the other side maps it into memory.
             start = offset + (0 if first is None else first * size)
             return {}, {"values": Slabs(shape, item.dtype, offset=start)}
-        stored = item.id.get_storage_size()
-        whole = item.size * item.dtype.itemsize
-        if stored * 1032 + 4096 < whole:
-            reason = f"is damaged: {stored} stored bytes cannot hold its {whole}"
-            raise DataError(self._path, reason, "Copy it again")
-        return {}, {"values": Slabs(shape, item.dtype, _pieces(item, first, shape, size))}
+        path = Path(self._path)
+        left_out = _check_sources(path, item) if item.is_virtual else _check_stored(path, item)
+        notice = {"notice": f"{left_out}: they have its fill value {item.fillvalue}"} if left_out else {}
+        return notice, {"values": Slabs(shape, item.dtype, _pieces(item, first, shape, size))}
+
+
+def _is_as_in_memory(item: h5py.Dataset) -> bool:
+    """Whether numbers lie in the file as in memory: no bit offset, no other precision."""
+    kind = item.id.get_type()
+    same = h5py.h5t.py_create(np.dtype(item.dtype.str))
+    return kind == same or (isinstance(kind, h5py.h5t.TypeEnumID) and kind.get_super() == same)
+
+
+def _check_stored(path: Path, item: h5py.Dataset) -> str:
+    """Refuse more than the file can hold; which chunks are absent, or ""."""
+    stored, whole = item.id.get_storage_size(), item.size * item.dtype.itemsize
+    held, text = whole, ""
+    for name, start, size in item.external or ():  # HDF5 gives zeros for what a shorter file lacks
+        if Path(name).is_file() and Path(name).stat().st_size < start + min(size, whole):
+            raise DataError(path, f"its data file {name} is truncated", "Copy all its files together")
+    if item.chunks is not None:
+        count = math.prod(-(-n // along) for n, along in zip(item.shape, item.chunks, strict=True))
+        present = item.id.get_num_chunks()
+        if present < count:
+            held = min(whole, present * math.prod(item.chunks) * item.dtype.itemsize)
+            text = f"{count - present} of {count} chunks of {item.name.lstrip('/')!r} are absent"
+    if stored * _DEFLATE_LIMIT + 4096 < held or stored * _SPARSE + _ROOM < whole:
+        name = item.name.lstrip("/")
+        reason = f"is damaged, or {name!r} was not written: {stored} stored bytes cannot hold its {whole}"
+        raise DataError(path, reason, "Copy it again")
+    return text
+
+
+def _check_sources(path: Path, item: h5py.Dataset, seen: frozenset[tuple[Path, str]] = frozenset()) -> str:
+    """Refuse a virtual dataset without one of its sources; how many values have none, or ""."""
+    mapped = stored = 0
+    checked: set[tuple[Path, str]] = set(seen)
+    for source in item.virtual_sources():
+        mapped += source.vspace.get_select_npoints()
+        if "%" in source.file_name:  # numbered files: as many as there are
+            stored = item.size
+            continue
+        at = path if source.file_name == "." else _beside(path, source.file_name)
+        if (at, source.dset_name) in checked:
+            continue
+        checked.add((at, source.dset_name))
+        stored += at.stat().st_size
+        with h5py.File(at, "r", locking=False) as file:
+            found = file.get(source.dset_name)
+            if not isinstance(found, h5py.Dataset) or not _holds(found, source):
+                reason = f"takes values from {source.dset_name!r} of {at}, which lacks them"
+                raise DataError(path, reason, "Copy all its files together")
+            if found.is_virtual:
+                _check_sources(at, found, frozenset(checked))
+    if stored * _SPARSE + _ROOM < item.size * item.dtype.itemsize:
+        raise DataError(path, f"is damaged: its sources cannot hold its {item.size} values", "Copy it again")
+    absent = max(item.size - mapped, 0)
+    return f"{absent} of {item.size} values of {item.name.lstrip('/')!r} have no source" if absent else ""
+
+
+def _holds(found: h5py.Dataset, source: Any) -> bool:
+    """Whether a dataset has all the values that a virtual one takes from it."""
+    space = source.src_space
+    if space.get_select_type() != h5py.h5s.SEL_HYPERSLABS:
+        return bool(found.size >= source.vspace.get_select_npoints())
+    if None in found.maxshape or space.get_select_npoints() >= 1 << 62:  # as far as it goes
+        return True
+    last = space.get_select_bounds()[1]
+    return len(last) == found.ndim and all(map(int.__lt__, last, found.shape))
+
+
+def _beside(path: Path, name: str) -> Path:
+    """A source file, where HDF5 looks for it."""
+    for at in (path.parent / name, Path(name)):
+        if at.is_file():
+            return at
+    raise DataError(path, f"takes values from {name}, which is not there", "Copy all its files together")
 
 
 def _dims(item: h5py.Dataset) -> list[str]:

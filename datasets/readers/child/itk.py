@@ -1,9 +1,8 @@
-"""Medical images through SimpleITK: MetaImage, and folders or files of DICOM."""
+"""Medical images through SimpleITK: MetaImage; :mod:`.datasets.readers.child.dicom` has DICOM."""
 
 from __future__ import annotations
 
 import math
-import mmap
 from pathlib import Path
 from typing import Any
 
@@ -12,128 +11,62 @@ import SimpleITK as sitk
 from numpy.typing import NDArray
 
 from econgs_bench.datasets.errors import DataError
-from econgs_bench.datasets.readers.content import is_dicom, suffix_by_content
+from econgs_bench.datasets.readers.child.dicom import Series
+from econgs_bench.datasets.readers.content import suffix_by_content
 from econgs_bench.datasets.readers.fields import channels_of
 
 
-def open_source(path: str) -> Images:
-    """The images of a file or folder."""
-    return Images(Path(path))
+def open_source(path: str) -> Images | Series:
+    """MetaImage, or the DICOM of a file or folder."""
+    source = Path(path)
+    dicom = source.is_dir() or ".dcm" in (source.suffix.lower(), suffix_by_content(source))
+    return Series(source) if dicom else Images(source)
 
 
 class Images:
-    """One image of a file, or one per series of a folder."""
+    """The image of a MetaImage file."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._files, self._notice = _series(path) if path.is_dir() else ({"value": [str(path)]}, "")
-        self._dicom = path.is_dir() or suffix_by_content(path) == ".dcm"
-        if path.is_file() and (self._dicom or path.suffix.lower() == ".dcm"):
-            _check_dicom(path)
-        if not self._files:
-            raise DataError(path, "holds no DICOM series", "Check that its slices are there")
 
     def contents(self) -> dict[str, Any]:
-        """Name, dims and components of each image."""
-        variables = []
-        for name, files in self._files.items():
-            reader = _information(files[0])
-            sizes = list(reader.GetSize())
-            if len(files) > 1:
-                sizes[2:] = [len(files)]
-            dims, steps = [*sizes, 1, 1][:3], (*sizes[3:], 1)[0]
-            if max(sizes[4:], default=1) > 1:
-                text = " x ".join(map(str, sizes))
-                raise DataError(self._path, f"is {len(sizes)}-D data ({text})", "Write one 3-D image")
-            components = reader.GetNumberOfComponents()
-            kind = np.uint8 if reader.GetPixelID() == sitk.sitkVectorUInt8 or self._dicom else np.float32
-            entry = {"name": name, "dims": dims, "components": components, "steps": steps}
-            variables.append({**entry, "channels": channels_of(components, np.dtype(kind))})
-        return {"variables": variables} | ({"notice": self._notice} if self._notice else {})
+        """Dims, steps and components of its only variable."""
+        reader = sitk.ImageFileReader()
+        reader.SetFileName(str(self._path))
+        reader.ReadImageInformation()
+        sizes = list(reader.GetSize())
+        dims, steps = [*sizes, 1, 1][:3], (*sizes[3:], 1)[0]
+        if max(sizes[4:], default=1) > 1:
+            text = " x ".join(map(str, sizes))
+            raise DataError(self._path, f"is {len(sizes)}-D data ({text})", "Write one 3-D image")
+        components = reader.GetNumberOfComponents()
+        kind = np.uint8 if reader.GetPixelID() == sitk.sitkVectorUInt8 else np.float32
+        entry = {"name": "value", "dims": dims, "components": components, "steps": steps}
+        return {"variables": [{**entry, "channels": channels_of(components, np.dtype(kind))}]}
 
     def read(self, read: str, step: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Values (z, y, x) or (z, y, x, components), and positions along the axes."""
-        files = self._files[read]
-        if not self._dicom and self._path.suffix.lower() != ".dcm":
-            _check_meta(self._path)
-        if len(files) > 1:
-            reader = sitk.ImageSeriesReader()
-            reader.SetFileNames(files)
-            image = reader.Execute()
-        else:
-            image = sitk.ReadImage(files[0])
+        del read
+        _check_meta(self._path)
+        image = sitk.ReadImage(str(self._path))
         values = sitk.GetArrayFromImage(image)
         while values.ndim - (image.GetNumberOfComponentsPerPixel() > 1) > 4:
             values = values[0]
         if values.ndim - (image.GetNumberOfComponentsPerPixel() > 1) == 4:
             values = values[step]
-        if not self._says_spacing(image):
+        # Distances of one may be what ITK takes without any.
+        if set(image.GetSpacing()) == {1.0} and b"ElementS" not in _head(self._path):
             return {"of_cells": False}, {"values": values}
         axes = zip("xyz", image.GetSpacing(), image.GetSize(), strict=False)
         positions = {name: spacing * np.arange(n, dtype=np.float64) for name, spacing, n in axes}
         return {"of_cells": False}, {"values": values, **positions}
 
-    def _says_spacing(self, image: Any) -> bool:
-        """Whether distances of one are the file's, and not what ITK takes without any."""
-        if set(image.GetSpacing()) != {1.0}:
-            return True
-        if self._dicom:
-            reader = _information(next(iter(self._files.values()))[0])
-            return any(reader.HasMetaDataKey(key) for key in ("0028|0030", "0018|1164", "5200|9229"))
-        return b"ElementS" in _head(self._path)  # ElementSpacing or ElementSize
-
 
 def _head(path: Path) -> bytes:
+    """The header as far as distances stand in it: ElementSpacing or ElementSize."""
     with path.open("rb") as file:
         return file.read(4096).partition(b"ElementDataFile")[0]
 
-
-def _information(file: str) -> Any:
-    reader = sitk.ImageFileReader()
-    reader.SetFileName(file)
-    reader.ReadImageInformation()
-    return reader
-
-
-def _series(folder: Path) -> tuple[dict[str, list[str]], str]:
-    """Variable -> the files of its series, in the order of their positions; and what is no slice."""
-    strange = []
-    for file in sorted(folder.iterdir()):
-        if file.is_file() and file.name != "DICOMDIR":
-            with file.open("rb") as stream:
-                dicom = is_dicom(stream.read(132))
-            if dicom or (file.suffix.lower() == ".dcm" and file.stat().st_size):
-                _check_dicom(file)
-            else:
-                strange.append(file.name)
-    more = f" and {len(strange) - 5} more" if len(strange) > 5 else ""
-    notice = f"no DICOM files, and left out: {', '.join(strange[:5])}{more}" if strange else ""
-    names = sitk.ImageSeriesReader.GetGDCMSeriesIDs(str(folder))
-    files = {}
-    for number, series in enumerate(names):
-        name = "value" if len(names) == 1 else f"series{number}"
-        files[name] = list(sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), series))
-    return files, notice
-
-
-def _check_dicom(file: Path) -> None:
-    """Refuse a DICOM file without whole pixel data: ITK fills what is missing with zeros."""
-    with file.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        at, whole = data.find(_PIXELS), False
-        while at >= 0 and not whole:
-            explicit = data[at + 4 : at + 6] in (b"OB", b"OW")
-            place = at + (8 if explicit else 4)
-            length = int.from_bytes(data[place : place + 4], "little")
-            compressed = length == 0xFFFFFFFF  # a sequence with an end of its own
-            whole = data.rfind(_END) > place if compressed else 0 < length <= len(data) - place - 4
-            at = data.find(_PIXELS, at + 1)
-    if not whole:
-        reason = f"its file {file.name} has no pixels, or is truncated"
-        raise DataError(file.parent, reason, "Copy it again, or move what is no picture out of the folder")
-
-
-_PIXELS, _END = b"\xe0\x7f\x10\x00", b"\xfe\xff\xdd\xe0"
-"""DICOM's tags of pixel data and of the end of a sequence."""
 
 _BYTES = {
     "MET_CHAR": 1, "MET_UCHAR": 1, "MET_SHORT": 2, "MET_USHORT": 2, "MET_INT": 4, "MET_UINT": 4,

@@ -13,10 +13,14 @@ from numpy.typing import NDArray
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.readers.child.parts import Slabs
 from econgs_bench.datasets.readers.fields import channels_of
+from econgs_bench.datasets.readers.finish import check_expansion, unpacked, unpacked_type
 from econgs_bench.datasets.readers.lengths import in_one_unit
 
 _COLORS = (2, 5, 6, 8)
 """TIFF's photometric interpretations with colors: RGB, CMYK, YCbCr, Lab."""
+
+_UNCALIBRATED = 20
+"""ImageJ's number for no function of calibration."""
 
 PICTURES = (".tif", ".tiff", ".png")
 
@@ -49,14 +53,19 @@ class Stack:
         about = {"name": "value", "dims": dims[::-1], "steps": steps, "components": components}
         return {"variables": [{**about, "channels": self._channels}]}
 
-    def read(self, read: str, step: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    def read(self, read: str, step: int) -> tuple[dict[str, Any], dict[str, Any]]:
         """Values (z, y, x) or (z, y, x, components), and positions where the file has distances."""
         del read
         values = self._file.series[0].asarray().reshape(self._shape)
         values = values.transpose([at for at in self._order if at >= 0]).reshape(self._sizes())[step]
         if values.shape[-1] == 1:
             values = values[..., 0]
-        return {"of_cells": False}, {"values": values, **self._positions(values.shape)}
+        scale, offset, line = _calibration(self._file, self._file.series[0].keyframe)
+        parts = {"values": values, **self._positions(values.shape)}
+        if (scale, offset) != (1.0, 0.0):
+            kind = np.dtype(unpacked_type(values.dtype, scale, offset))
+            parts["values"] = Slabs(values.shape, kind, (unpacked(part, scale, offset) for part in values))
+        return {"of_cells": False, "notice": line}, parts
 
     def _sizes(self) -> list[int]:
         return [self._shape[at] if at >= 0 else 1 for at in self._order]
@@ -115,6 +124,21 @@ def _channels(page: Any, components: int, of_stack: bool) -> int:
     return components - len(page.extrasamples) if colors else channels_of(components, page.dtype)
 
 
+def _calibration(file: Any, page: Any) -> tuple[float, float, str]:
+    """Scale and offset of ImageJ's calibration of gray values, and a line on one that is not applied."""
+    about = (file.imagej_metadata or {}) if file.is_imagej else {}
+    function = about.get("cf", _UNCALIBRATED)
+    if function == _UNCALIBRATED or page.dtype.kind not in "iu" or page.dtype.itemsize > 2:
+        return 1.0, 0.0, ""
+    try:
+        offset, scale = float(about["c0"]), float(about["c1"])
+    except (KeyError, TypeError, ValueError):
+        offset, scale = 0.0, 0.0
+    if function != 0 or not np.isfinite(offset * scale) or scale == 0.0 or page.samplesperpixel > 1:
+        return 1.0, 0.0, f"values are as stored: ImageJ's calibration function {function} is not applied"
+    return scale, offset, ""
+
+
 def _check_pages(path: Path, file: Any) -> None:
     """Refuse pages whose data lie beyond the end of the file."""
     size = path.stat().st_size
@@ -164,7 +188,7 @@ class Folder:
             numbers[file] = int(digits[-1])
         self._files = sorted(pictures, key=lambda file: numbers[file])
         _check_numbers(path, [numbers[file] for file in self._files])
-        first, self._channels = _picture(self._files[0])
+        first, self._channels, self._line = _picture(self._files[0])
         self._shape, self._dtype = (len(self._files), *first.shape), first.dtype
 
     def contents(self) -> dict[str, Any]:
@@ -176,11 +200,12 @@ class Folder:
     def read(self, read: str, step: int) -> tuple[dict[str, Any], dict[str, Slabs]]:
         """Values (z, y, x) or (z, y, x, components), slice by slice."""
         del read, step
-        return {"of_cells": False}, {"values": Slabs(self._shape, self._dtype, self._slices())}
+        parts = {"values": Slabs(self._shape, self._dtype, self._slices())}
+        return {"of_cells": False, "notice": self._line}, parts
 
     def _slices(self) -> Any:
         for file in self._files:
-            values, channels = _picture(file)
+            values, channels, _ = _picture(file)
             if (values.shape, values.dtype, channels) != (self._shape[1:], self._dtype, self._channels):
                 raise DataError(file, "differs in size or type from the first slice", "Copy it again")
             yield values
@@ -196,26 +221,46 @@ def _check_numbers(path: Path, numbers: list[int]) -> None:
         raise DataError(path, f"a slice is missing after number {after}", "Copy all slices, or renumber them")
 
 
-def _picture(file: Path) -> tuple[NDArray[Any], int]:
-    """(y, x), or (y, x, components), and the number of channels among the components."""
+def _picture(file: Path) -> tuple[NDArray[Any], int, str]:
+    """(y, x), or (y, x, components), the number of channels among the components, and a line on them."""
     if file.suffix.lower() == ".png":
-        from PIL import Image
-
-        with Image.open(file, formats=["PNG"]) as image:
-            if image.mode == "P":
-                raise DataError(file, "has a palette", "Write it in gray, 8 or 16 bits")
-            values = np.asarray(image)
-            values = values.astype(np.uint16) if image.mode.startswith("I") else values
-            return values, {"LA": 1, "RGB": 3, "RGBA": 3}.get(image.mode, 0)
+        return *_png(file), ""
     import tifffile
 
     with tifffile.TiffFile(file) as tiff:
         _check_pages(file, tiff)
         series = tiff.series[0]
+        axes = [(letter, n) for letter, n in zip(series.axes, series.shape, strict=True) if n > 1]
+        letters = "".join(letter for letter, _ in axes)
+        planes = len(letters) == 3 and letters[0] in "SC"
+        if len(letters) != 2 and not planes and not (len(letters) == 3 and letters[2] in "SC"):
+            sizes = " x ".join(f"{n} ({letter})" for letter, n in axes)
+            remedy = "Name that file alone, or write one slice in each file"
+            raise DataError(file, f"{file.name} is no slice: it has the axes {sizes}", remedy)
         values = np.asarray(series.asarray().squeeze())
-        if values.ndim == 3 and series.axes.endswith("YX"):  # planes of components
-            values = np.moveaxis(values, 0, -1)
-        if values.ndim not in (2, 3):
-            text = " x ".join(map(str, values.shape))
-            raise DataError(file, f"is {values.ndim}-D data ({text})", "Write one slice in each file")
-        return values, _channels(series.keyframe, (*values.shape, 1)[2], "C" in series.axes)
+        values = np.moveaxis(values, 0, -1) if planes else values
+        scale, offset, line = _calibration(tiff, series.keyframe)
+        channels = _channels(series.keyframe, (*values.shape, 1)[2], "C" in letters)
+        return unpacked(values, scale, offset), channels, line
+
+
+def _png(file: Path) -> tuple[NDArray[Any], int]:
+    """Values of a PNG file and the channels among them."""
+    from PIL import Image
+
+    with Image.open(file, formats=["PNG"]) as image:  # it bounds width and height
+        with file.open("rb") as stream:
+            depth, colors = stream.read(26)[24:]
+        if depth == 16 and colors:  # Pillow would cut colors and gray beside alpha to 8 bits
+            import imagecodecs
+
+            samples = {2: 3, 4: 2, 6: 4}.get(colors, 1)
+            size = file.stat().st_size
+            check_expansion(file, size, 2 * samples * image.width * image.height, image.size, "uint16")
+            deep: NDArray[Any] = np.asarray(imagecodecs.png_decode(file.read_bytes()))
+            return deep, {2: 1, 3: 3, 4: 3}[(*deep.shape, 1)[2]]
+        if image.mode == "P":
+            raise DataError(file, "has a palette", "Write it in gray, 8 or 16 bits")
+        values = np.asarray(image)
+        values = values.astype(np.uint16) if image.mode.startswith("I") else values
+        return values, {"LA": 1, "RGB": 3, "RGBA": 3}.get(image.mode, 0)

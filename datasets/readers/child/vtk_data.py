@@ -41,6 +41,7 @@ READERS = {
 }
 _IN_PIECES = (".vti", ".vtr", ".vts", ".pvti", ".pvtr", ".pvts")
 _DUPLICATE_CELL, _HIDDEN_POINT, _HIDDEN_CELL = 1, 2, 32
+_MOST_BLOCKS = 1 << 24
 _MASKS = ("vtkGhostType", "vtkValidPointMask")
 
 
@@ -157,24 +158,69 @@ def _reader(path: Path, suffix: str) -> Any:
 
 
 def _check_xml(path: Path, in_pieces: bool) -> None:
-    """Refuse a cut file, and a grid whose pieces do not fill it: VTK leaves the rest as memory was."""
+    """Refuse a cut file, and pieces that lack values or do not fill a grid: VTK leaves them as memory was."""
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
         if b"<VTKFile" in data[:4096] and b"</VTKFile>" not in data[-1024:]:
             raise DataError(path, "is truncated: its end, </VTKFile>, is not there", "Copy it again")
+        end = data.find(b"<AppendedData")
+        _check_arrays(path, data, len(data) if end < 0 else end)
         if not in_pieces:
             return
-        end = data.find(b"<AppendedData")
         extents = [
-            (match[1], [int(n) for n in match[2].split()])
+            (match[1], [int(n) for n in match[2].split()][:6])
             for match in re.finditer(rb"\b(WholeExtent|Extent)\s*=\s*[\"']([-+0-9 ]+)[\"']", data)
             if end < 0 or match.start() < end
         ]
-    cells = {b"WholeExtent": 0, b"Extent": 0}
-    for kind, extent in extents:
-        sides = [max(high - low, 1) for low, high in zip(extent[::2], extent[1::2], strict=False)]
-        cells[kind] += math.prod(sides)
-    if cells[b"Extent"] < cells[b"WholeExtent"]:
+    extents = [(kind, extent) for kind, extent in extents if len(extent) == 6]
+    whole = next((extent for kind, extent in extents if kind == b"WholeExtent"), None)
+    pieces = [extent for kind, extent in extents if kind == b"Extent"]
+    if whole is not None and not _is_covered(path, whole, pieces):
         raise DataError(path, "its pieces do not fill its extent", "Write it again with VTK or ParaView")
+
+
+def _check_arrays(path: Path, data: mmap.mmap, end: int) -> None:
+    """Refuse a piece without an array of the first one; pieces may be empty."""
+    pieces: list[set[tuple[bytes, bytes]]] = []
+    section, tag = b"", rb"<(/?)(Piece|PointData|CellData|DataArray)\b([^<>]*)>"
+    for match in re.compile(tag).finditer(data, 0, end):
+        closes, kind, attributes = match.groups()
+        if kind == b"Piece" and not closes:
+            empty = re.search(rb"NumberOfPoints\s*=\s*[\"']0[\"']", attributes) or b"0 -1" in attributes
+            pieces += [] if empty else [set()]
+            section = b""
+        elif kind == b"DataArray":
+            name = re.search(rb"\bName\s*=\s*[\"']([^\"']*)", attributes)
+            if section and name and pieces:
+                pieces[-1].add((section, name[1]))
+        elif kind != b"Piece":
+            section = b"" if closes or attributes.endswith(b"/") else kind
+    for piece in pieces[1:]:
+        if lacking := pieces[0] - piece:
+            array = min(lacking)[1].decode("utf-8", "replace")
+            raise DataError(path, f"a piece of it lacks {array!r}", "Write it again with VTK or ParaView")
+
+
+def _is_covered(path: Path, whole: list[int], pieces: list[list[int]]) -> bool:
+    """Whether every cell of an extent lies in a piece: cells between the same borders of pieces are one."""
+    borders: list[dict[int, int]] = []
+    boxes = [[low, max(high, low + 1)] for low, high in zip(whole[::2], whole[1::2], strict=True)]
+    flat = [high == low for low, high in zip(whole[::2], whole[1::2], strict=True)]
+    for axis, (low, high) in enumerate(boxes):
+        ends = {end for piece in pieces for end in piece[2 * axis : 2 * axis + 2] if low < end < high}
+        borders.append({end: at for at, end in enumerate(sorted({low, high, *ends}))})
+    sizes = [len(ends) - 1 for ends in borders]
+    if math.prod(sizes) > _MOST_BLOCKS:
+        raise DataError(path, "has too many pieces to check", "Write it again with VTK or ParaView")
+    covered = np.zeros(sizes, np.bool_)
+    for piece in pieces:
+        block = []
+        for axis, (low, high) in enumerate(boxes):
+            first, last = piece[2 * axis : 2 * axis + 2]
+            last = max(last, first + 1) if flat[axis] else last
+            first, last = min(max(first, low), high), min(max(last, low), high)
+            block.append(slice(borders[axis][first], borders[axis][last]))
+        covered[tuple(block)] = True
+    return bool(covered.all())
 
 
 def _beside(path: Path, part: str) -> Path:
