@@ -359,8 +359,9 @@ def drawing(block: dict[str, Any]) -> str:
 
 
 def paper(block: dict[str, Any]) -> str:
-    """A table of the paper, without its title."""
-    return to_markdown(_papers(tuple(block["bundles"]))[block["table"]]).partition("\n\n")[2]
+    """A table of the paper, without its title; what holds of several datasets is said once."""
+    text = to_markdown(_papers(tuple(block["bundles"]))[block["table"]]).partition("\n\n")[2]
+    return "\n\n".join(dict.fromkeys(text.split("\n\n")))
 
 
 @cache
