@@ -55,6 +55,7 @@ from econgs_bench.reports.report import Report
 from econgs_bench.reports.schema import records
 from econgs_bench.reports.sections import order
 from econgs_bench.reports.sections.answers import section as answers
+from econgs_bench.reports.sections.economy import section as economy
 from econgs_bench.reports.sections.ladders import conclusion as ladders
 from econgs_bench.reports.sections.ladders import table as ladder_table
 from econgs_bench.reports.sections.ladders.table import climbed
@@ -152,9 +153,11 @@ def _first_break(climb: dict[str, Any] | None) -> str:
     return f"`{climb['rung']}` {', '.join(filter(None, [climb['failure'], ladders.amount(climb)]))}"
 
 
+_OF_ALL = ("not compared: ", "LPIPS: not measured")
+"""Remarks that hold of all tables of the paper."""
 SECTIONS: dict[str, Callable[[Page], Section | None]] = {
     "answers": answers.section, "races": races.section, "rates": rates.section, "unseen": unseen.section,
-    "volumes": volumes.section, "ladders": _ladders,
+    "volumes": volumes.section, "ladders": _ladders, "economy": economy.section,
 }  # fmt: skip
 COLUMNS = {"answers": ("psnr", *CLOCKS), "races": ("psnr", "train_seconds")}
 """Section -> the columns behind its numbers, if not PSNR alone."""
@@ -359,9 +362,10 @@ def drawing(block: dict[str, Any]) -> str:
 
 
 def paper(block: dict[str, Any]) -> str:
-    """A table of the paper, without its title; what holds of several datasets is said once."""
+    """A table of the paper, without its title and without what its page says of all: :data:`_OF_ALL`."""
     text = to_markdown(_papers(tuple(block["bundles"]))[block["table"]]).partition("\n\n")[2]
-    return "\n\n".join(dict.fromkeys(text.split("\n\n")))
+    parts = dict.fromkeys(part for part in text.split("\n\n") if not part.startswith(_OF_ALL))
+    return "\n\n".join(parts)
 
 
 @cache

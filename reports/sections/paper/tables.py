@@ -269,8 +269,13 @@ def _missing_remarks(rows: list[PaperRow], columns: list[str]) -> list[str]:
         if not without or (column not in METRICS and len(without) < len(measured)):
             continue
         labels = "" if len(without) == len(measured) else f" of {', '.join(row.label for row in without)}"
-        reasons = dict.fromkeys(row.missing[column] for row in without if column in row.missing)
-        text = "; ".join(reasons) or "no values"
+        kinds: dict[str, list[str]] = {}  # a reason of each
+        for text in dict.fromkeys(row.missing[column] for row in without if column in row.missing):
+            kinds.setdefault(text.partition(":")[0], []).append(text)
+        text = "; ".join(
+            own[0] if len(own) == 1 else own[0].replace(": ", ": as ", 1) for own in kinds.values()
+        )
+        text = text or "no values"
         remarks.append(f"{QUANTITIES[column].title}{labels}: not measured ({text}).")
     return remarks
 
