@@ -98,7 +98,7 @@ def leads(
     return known, values
 
 
-def mean(values: Iterable[float], ratio: bool) -> float:
+def mean(values: Iterable[float], ratio: bool = False) -> float:
     """Arithmetic mean, or the geometric one."""
     numbers = np.fromiter(values, dtype=np.float64)
     return math.exp(float(np.log(numbers).mean())) if ratio else float(numbers.mean())
@@ -135,9 +135,9 @@ def effect(first: Cells, second: Cells, better: int, ratio: bool) -> Effect | No
     }
     if not differences:
         return None
-    of_scenes = [[_mean(seeds.values()) for seeds in scenes.values()] for scenes in differences.values()]
-    of_datasets = [_mean(values) for values in of_scenes]
-    mean = _mean(of_datasets)
+    of_scenes = [[mean(seeds.values()) for seeds in scenes.values()] for scenes in differences.values()]
+    of_datasets = [mean(values) for values in of_scenes]
+    middle = mean(of_datasets)
     terms = [
         _sampling([of_datasets]) if len(of_datasets) >= LEAST_DATASETS else _sampling(of_scenes),
         _sampling([_of_seeds(differences)]),
@@ -148,9 +148,9 @@ def effect(first: Cells, second: Cells, better: int, ratio: bool) -> Effect | No
     known = [term for term in terms if term is not None]
     error = Error.of(known) if known else None
     return Effect(
-        mean,
+        middle,
         error.half if error is not None else None,
-        error.p_value(mean) if error is not None else None,
+        error.p_value(middle) if error is not None else None,
         sum(value > 0 for value in of_datasets),
         len(of_datasets),
         sum(map(len, of_scenes)),
@@ -173,7 +173,7 @@ def _differences(
             a, b = first[scene], second[scene]
             common = [seed for seed in a if seed in b]
             scenes[scene] = {seed: value(a[seed]) - value(b[seed]) for seed in common} or {
-                NO_SEED: _mean(map(value, a.values())) - _mean(map(value, b.values()))
+                NO_SEED: mean(map(value, a.values())) - mean(map(value, b.values()))
             }
     return scenes
 
@@ -183,7 +183,7 @@ def _of_seeds(differences: dict[str, dict[str, dict[Any, float]]]) -> list[float
     cells = [seeds for scenes in differences.values() for seeds in scenes.values()]
     common = [seed for seed in cells[0] if all(seed in cell for cell in cells)]
     return [
-        _mean(_mean(seeds[seed] for seeds in scenes.values()) for scenes in differences.values())
+        mean(mean(seeds[seed] for seeds in scenes.values()) for scenes in differences.values())
         for seed in common
     ]
 
@@ -195,7 +195,3 @@ def _sampling(strata: Sequence[Sequence[float]]) -> Variance | None:
         return None
     variance = sum(float(values.var(ddof=1)) / len(values) for values in repeated) / len(strata) ** 2
     return Variance(variance, sum(len(values) - 1 for values in repeated))
-
-
-def _mean(values: Any) -> float:
-    return float(np.mean(list(values)))

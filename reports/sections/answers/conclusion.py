@@ -415,13 +415,9 @@ def _seeds(lead: Effect) -> str:
     least, most = lead.seeds
     if least == 0:
         return "no common seed" if most == 0 else "no common seed of some scenes"
-    return (
-        "one seed"
-        if (least, most) == (1, 1)
-        else f"{least} seeds"
-        if least == most
-        else f"{least} to {most} seeds"
-    )
+    if least < most:
+        return f"{least} to {most} seeds"
+    return "one seed" if most == 1 else f"{most} seeds"
 
 
 def _caution(contest: Contest, values: Values) -> str:
