@@ -166,8 +166,8 @@ class Race:
         return sorted({cost for front in fronts for cost, _ in front.spots if cost >= start})
 
     def seeds(self, method: str) -> list[Any]:
-        """Seeds that all scenes have."""
-        each = [set(seeds) for seeds in self.fronts[method].values()]
+        """Seeds that all scenes have, of those that :meth:`mean` is of."""
+        each = [self._compared(scene, seeds) for scene, seeds in self.fronts[method].items()]
         return sorted(set.intersection(*each)) if each else []
 
     def reached(self, method: str, limit: float) -> dict[str, dict[Any, float]] | None:
@@ -181,12 +181,23 @@ class Race:
         return cells  # type: ignore[return-value]
 
     def mean(self, method: str, limit: float, seed: Any = None) -> float | None:
-        """Mean over scenes of PSNR at a limit: of a seed, or of the means over seeds."""
+        """Mean over scenes of PSNR at a limit: of a seed, or of the means over the seeds of all methods.
+
+        A method that shares no seed with the others has the mean over its own.
+        """
         cells = self.reached(method, limit)
         if cells is None:
             return None
-        chosen = [[seeds[seed]] if seed is not None else list(seeds.values()) for seeds in cells.values()]
+        chosen = [
+            [seeds[one] for one in ([seed] if seed is not None else self._compared(scene, seeds))]
+            for scene, seeds in cells.items()
+        ]
         return float(np.mean([np.mean(values) for values in chosen]))
+
+    def _compared(self, scene: str, own: Iterable[Any]) -> set[Any]:
+        """Seeds of a scene that all methods have; a method's own where there are none."""
+        common = set.intersection(*(set(each[scene]) for each in self.fronts.values()))
+        return common or set(own)
 
     @cached_property
     def leads(self) -> list[Lead]:

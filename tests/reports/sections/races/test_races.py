@@ -245,6 +245,20 @@ def test_bands_reach_over_the_seeds_and_lines_over_all_costs():
         np.testing.assert_allclose(band.y[n:][::-1], np.array(line.y) - 0.5)
 
 
+def test_a_line_is_of_the_seeds_that_all_methods_have():
+    """Or a chart would show a lead of one method by its luckier seeds, which the leads leave out."""
+    both = [(10.0, 30.0), (40.0, 32.0)]
+    race = of(
+        TIME,
+        *(fit("hac", seconds, psnr) for seconds, psnr in both),
+        *(fit("3dgs", seconds, psnr - 1.0) for seconds, psnr in both),
+        *(fit("3dgs", seconds, psnr + 5.0, seed=1) for seconds, psnr in both),
+    )
+    assert race.leads[0].method == "hac"
+    assert race.mean("3dgs", 10.0) == 29.0
+    assert race.seeds("3dgs") == [0]
+
+
 def test_the_report_has_a_section_where_methods_have_several_models(maker):
     for method, factor in (("3dgs", 1.0), ("econgs", 2.0)):
         for variant, share in (("", 1.0), ("iterations=99", 0.25)):
