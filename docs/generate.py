@@ -69,7 +69,7 @@ from econgs_bench.reports.sections.section import Page, Section
 from econgs_bench.reports.sections.unseen import section as unseen
 from econgs_bench.reports.sections.volumes import section as volumes
 from econgs_bench.reports.statistics import Views
-from econgs_bench.reports.style import MISSING, PAPER, TITLES, label
+from econgs_bench.reports.style import MISSING, PAPER, TITLES, label, signed
 from econgs_bench.reports.tables.protocols import by_scene_choice
 from econgs_bench.reports.tables.table import Table
 
@@ -287,7 +287,7 @@ def _number(results: pd.DataFrame | None, value: Value, *, spread: bool) -> tupl
 def _change(number: float | None, reference: float | None) -> str:
     if number is None or reference is None:
         return MISSING
-    text = f"{number - reference:+.2f}".replace("-", "\N{MINUS SIGN}")
+    text = signed(number - reference)
     return "" if number is reference else "0" if text.endswith("0.00") else text
 
 

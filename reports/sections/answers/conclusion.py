@@ -338,8 +338,7 @@ def robustness(contest: Contest) -> Answer:
         )
 
     places = tuple(
-        Place(name, worst[name][0], f"{-worst[name][0]:z.1f} dB".replace("-", "\N{MINUS SIGN}"))
-        for name in order
+        Place(name, worst[name][0], f"{signed(-worst[name][0], 1, sign=False)} dB") for name in order
     )
     first, second = order[:2]
     scenes = len(set().union(*shortfalls.values()))

@@ -24,7 +24,7 @@ from econgs_bench.reports.floors import Floor
 from econgs_bench.reports.fronts import interpolated, pareto
 from econgs_bench.reports.report import Report, once
 from econgs_bench.reports.schema import records
-from econgs_bench.reports.style import MIB, MISSING, absent, counted, label, mib, seconds
+from econgs_bench.reports.style import MIB, MISSING, absent, counted, label, mib, seconds, signed
 from econgs_bench.reports.tables.protocols import (
     GROUPING,
     comparable,
@@ -400,11 +400,7 @@ def row(race: Race, lead: Lead, family: Family) -> list[str]:
         return [*cells, "alone", "", "", "", "", starters]
     rival, ahead = nearest
     low_high = ahead.ends
-    ends = (
-        ""
-        if low_high is None
-        else " to ".join(f"{end:+.2f}" for end in low_high).replace("-", "\N{MINUS SIGN}")
-    )
+    ends = "" if low_high is None else " to ".join(map(signed, low_high))
     least, most = ahead.seeds
     seeds = str(least) if least == most else f"{least} to {most}"
     gap = ", ".join(filter(None, [f"{ahead.mean:.2f}", race.closeness(lead, family)]))

@@ -9,7 +9,7 @@ import numpy as np
 
 from econgs_bench.reports.schema import records
 from econgs_bench.reports.sections.volumes.conclusion import VOLUMES
-from econgs_bench.reports.style import MISSING, Model, model
+from econgs_bench.reports.style import MISSING, Model, model, signed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -142,6 +142,7 @@ def rows(found: list[Target]) -> list[list[str]]:
         for each, own in band_means(found, panel).items():
             cells = [f"{own[band][1]:.2f}" if band in own else MISSING for _, band in BANDS]
             values = [own[band][1] for _, band in BANDS if band in own]
-            loss = f"{values[0] - values[-1]:.2f}" if "trained" in own and len(values) > 1 else MISSING
+            several = "trained" in own and len(values) > 1
+            loss = signed(values[0] - values[-1], sign=False) if several else MISSING
             lines.append([panel, each.title, *cells, loss])
     return lines
