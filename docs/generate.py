@@ -379,6 +379,7 @@ def from_csv(block: dict[str, Any]) -> str:
     lines = (MEASURED / block["file"]).read_text(encoding="utf-8").splitlines()
     caption = " ".join(line.lstrip("# ") for line in lines if line.startswith("#"))
     heads, *rows = csv.reader(line for line in lines if not line.startswith("#"))
+    rows = [[re.sub(r"^-(?=\d)", "\N{MINUS SIGN}", cell) for cell in row] for row in rows]
     return markdown(heads, rows) + (f"\n*{caption}*\n" if caption else "")
 
 
