@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -14,9 +14,12 @@ from econgs_bench.reports.fronts import interpolated
 from econgs_bench.reports.style import MIB, MISSING, Model, absent, mib
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from econgs_bench.reports.curves import Curve
 
-_GRID = re.compile(r"(.+)@(\d+)")
+_GRID = re.compile(r"([^@,]+)(?:@(\d+))?(.*)")
+"""Name of a field, its grid unless that is the usual one, and what else tells its rows from others."""
 VOLUMES = ("sz3", "zfp")
 """Methods that store the volume itself."""
 HEADS = (
@@ -37,6 +40,7 @@ class Payoff:
         needed: bytes of the volume at that PSNR.
         bound: "" if ``needed`` is such, "below" or "above" if the volume's curve begins or ends there.
         meeting: bytes from which on the volume has the higher PSNR; None where the curves do not cross.
+        grid: name of the field, and N of its N³ samples; None where that is not known.
     """
 
     dataset: str
@@ -47,6 +51,7 @@ class Payoff:
     needed: float
     bound: str
     meeting: tuple[float, float] | None
+    grid: tuple[str, float] | None
 
     @property
     def pays(self) -> bool:
@@ -54,10 +59,27 @@ class Payoff:
         return self.bytes < self.needed and self.bound != "below"
 
 
-def payoffs(curves: dict[str, list[Curve]]) -> list[Payoff]:
-    """Of every model against every compressed volume of its dataset, in the drawing nearest the truth."""
+def sides(dvr: pd.DataFrame) -> dict[str, float]:
+    """Dataset -> N of the N³ samples of its volumes, from the table `dvr`: a name may say none."""
+    known = dvr[dvr["status"] == "ok"]
+    samples = known[["nx", "ny", "nz"]].astype(float).prod(axis=1)
+    return dict(zip(known["dataset"], (samples ** (1 / 3)).round(), strict=True))
+
+
+def payoffs(curves: dict[str, list[Curve]], sides: Mapping[str, float] | None = None) -> list[Payoff]:
+    """Of every model against every compressed volume of its dataset, in the drawing nearest the truth.
+
+    Args:
+        curves: dataset -> curves.
+        sides: :func:`sides` of datasets.
+    """
     return [
-        _payoff(dataset, max(drawings, key=lambda one: max(point.psnr for point in one.points)), model)
+        _payoff(
+            dataset,
+            max(drawings, key=lambda one: max(point.psnr for point in one.points)),
+            model,
+            sides or {},
+        )
         for dataset, rows in curves.items()
         for method in VOLUMES
         if (drawings := [one for one in rows if one.model.method == method])
@@ -66,7 +88,7 @@ def payoffs(curves: dict[str, list[Curve]]) -> list[Payoff]:
     ]
 
 
-def _payoff(dataset: str, volume: Curve, model: Curve) -> Payoff:
+def _payoff(dataset: str, volume: Curve, model: Curve, sides: Mapping[str, float]) -> Payoff:
     best = max(model.points, key=lambda point: point.psnr)
     spots = volume.spots
     needed, bound = spots[0][0], "below"
@@ -77,7 +99,18 @@ def _payoff(dataset: str, volume: Curve, model: Curve) -> Payoff:
                 share = (best.psnr - worse) / (better - worse)
                 needed, bound = low * (high / low) ** share, ""
                 break
-    return Payoff(dataset, volume, model, best.bytes, best.psnr, needed, bound, _meeting(spots, model.spots))
+    meeting = _meeting(spots, model.spots)
+    grid = _grid(dataset, sides)
+    return Payoff(dataset, volume, model, best.bytes, best.psnr, needed, bound, meeting, grid)
+
+
+def _grid(dataset: str, sides: Mapping[str, float]) -> tuple[str, float] | None:
+    found = _GRID.fullmatch(dataset)
+    if found is None:
+        return None
+    name, side, rest = found.groups()
+    n = float(side) if side else sides.get(name)
+    return None if n is None else (name + rest, n)
 
 
 def _meeting(
@@ -108,14 +141,13 @@ def over_grids(found: Sequence[Payoff]) -> dict[str, list[Line]]:
     """Bytes of models over those of the volume at equal PSNR, where a field is measured on several grids.
 
     Returns:
-        Field and volume -> a line per model over N of datasets "field@N". What the volume's curve does not
-        reach is left out.
+        Field and volume -> a line per model over N. What the volume's curve does not reach is left out.
     """
     spots: dict[tuple[str, Model], list[tuple[float, float]]] = {}
     for one in found:
-        if (grid := _GRID.match(one.dataset)) and not one.bound:
-            line = spots.setdefault((f"{grid[1]}, {one.volume.title}", one.model.model), [])
-            line.append((float(grid[2]), one.bytes / one.needed))
+        if one.grid and not one.bound:
+            line = spots.setdefault((f"{one.grid[0]}, {one.volume.title}", one.model.model), [])
+            line.append((one.grid[1], one.bytes / one.needed))
     panels: dict[str, list[Line]] = {}
     for (title, model), own in spots.items():
         if len(own) > 1:
@@ -154,8 +186,7 @@ def _crossing(line: Line) -> float | None:
 def conclusion(found: Sequence[Payoff]) -> list[str]:
     """Which models are smaller than a volume that is as good, by dataset or field, and volume."""
     panels = over_grids(found)
-    fields = {title.partition(",")[0] for title in panels}
-    found = [one for one in found if not ((grid := _GRID.match(one.dataset)) and grid[1] in fields)]
+    found = [one for one in found if not one.grid or f"{one.grid[0]}, {one.volume.title}" not in panels]
     sentences = [growth(title, lines) for title, lines in panels.items()]
     for dataset, volume in dict.fromkeys((one.dataset, one.volume.title) for one in found):
         rows = [one for one in found if (one.dataset, one.volume.title) == (dataset, volume)]

@@ -10,6 +10,7 @@ from econgs_bench.reports.sections.volumes.conclusion import (
     over_grids,
     payoffs,
     row,
+    sides,
 )
 from econgs_bench.reports.tables.table import Table
 
@@ -23,7 +24,7 @@ _WORDS = (
 
 def section(page: Page) -> Section | None:
     """Models beside the compressed volume; None where there are not both."""
-    found = payoffs(page.report.curves)
+    found = payoffs(page.report.curves, sides(page.report.stored["dvr"]))
     if not found:
         return None
     panels = over_grids(found)

@@ -156,6 +156,17 @@ def test_from_which_grid_on_a_model_is_smaller_than_the_volume(ratios, says):
     assert (title, line.x, line.y) == ("field, SZ3 volume", sorted(ratios), pytest.approx([*ratios.values()]))
 
 
+def test_a_grid_whose_name_says_none_has_that_of_the_volume():
+    """The smallest grid of a formula is often its usual one, "field" and not "field@64"."""
+    own = grids("3dgs", {64: 4.0, 128: 0.25})
+    own["field"] = [replace(one, dataset="field") for one in own.pop("field@64")]
+    assert over_grids(payoffs(own)) == {}
+    ((title, [line]),) = over_grids(payoffs(own, {"field": 64.0})).items()
+    assert (title, line.x) == ("field, SZ3 volume", [64.0, 128.0])
+    rest = {"field, 6 views": own["field"], "field@128, 6 views": own["field@128"]}
+    assert [*over_grids(payoffs(rest, {"field": 64.0}))] == ["field, 6 views, SZ3 volume"]
+
+
 def test_a_grid_alone_and_what_the_curve_does_not_reach_make_no_line():
     assert over_grids(payoffs(grids("3dgs", {64: 2.0}))) == {}
     far = grids("3dgs", {64: 2.0, 128: 1.0})
