@@ -312,12 +312,12 @@ def _machines(results: pd.DataFrame) -> list[str]:
     """Processors of fits; those of some methods alone with these."""
     fitted = results.dropna(subset=["fit_processor"])
     machines = {
-        str(processor): ", ".join(TITLES.get(name, name) for (name,) in _ordered(group, ["method"]))
+        str(processor): [TITLES.get(name, name) for (name,) in _ordered(group, ["method"])]
         for processor, group in fitted.groupby("fit_processor")
     }
-    if len(set(machines.values())) == 1:
+    if len(set(map(tuple, machines.values()))) == 1:
         return list(machines)
-    return [f"{name} ({methods})" for name, methods in machines.items()]
+    return [f"{name} ({_brief(methods)})" for name, methods in machines.items()]
 
 
 def _stale(results: pd.DataFrame) -> str:
@@ -330,7 +330,12 @@ def _stale(results: pd.DataFrame) -> str:
         short = ", ".join(each) if len(each) < 3 else f"{len(each)} changes"
         short = re.sub(r"^version (\S+) \(today \S+\)$", r"v\1", short)
         parts.append(f"{TITLES.get(method, method)} {short}")
-    return f"stale: {'; '.join(parts)}" if parts else ""
+    return f"stale: {_brief(parts, '; ')}" if parts else ""
+
+
+def _brief(names: list[str], between: str = ", ") -> str:
+    """A few names, or the number of methods."""
+    return between.join(names) if len(names) < 5 else f"{len(names)} methods"
 
 
 def _series(values: pd.Series) -> str:

@@ -167,11 +167,12 @@ def growth(title: str, lines: Sequence[Line]) -> str:
         else:
             parts.append(f"{line.title} from about {least:,.0f}\N{SUPERSCRIPT THREE} on")
     best = min(lines, key=lambda line: line.y[-1])
-    count = f"{1.0 / best.y[-1]:.1f}" if best.y[-1] < 1.0 else "less than one"
+    ratio = best.y[-1]
+    weighs = f"as much as {1.0 / ratio:.1f} models" if ratio < 1.0 else "less than one model"
     return (
         f"{title}: smaller at equal PSNR, of grids from {lines[0].x[0]:,.0f}\N{SUPERSCRIPT THREE} to "
         f"{lines[0].x[-1]:,.0f}\N{SUPERSCRIPT THREE}: {', '.join(parts)}. The volume serves every transfer "
-        f"function; on the largest grid it weighs as much as {count} of {best.title}, each of one."
+        f"function; on the largest grid it weighs {weighs} of {best.title}, each of one."
     )
 
 

@@ -14,7 +14,7 @@ from econgs_bench.reports.sections.volumes.conclusion import (
 )
 from econgs_bench.reports.tables.table import Table
 
-_GRID, _RATIO = "grid [N³]", "bytes of the model / bytes of the volume at equal PSNR"
+_GRID, _RATIO = "grid [N³]", "bytes of model / volume, equal PSNR"
 _WORDS = (
     "The compressed volume is drawn by the ray marcher that drew the ground truth: its error is that of the "
     "compression alone, which favours it. It takes every other transfer function without more bytes, and "

@@ -150,8 +150,9 @@ def test_from_which_grid_on_a_model_is_smaller_than_the_volume(ratios, says):
     assert says in sentence
     least, most = min(ratios), max(ratios)
     assert f"field, SZ3 volume: smaller at equal PSNR, of grids from {least}³ to {most}³" in sentence
-    count = f"{1 / ratios[most]:.1f}" if ratios[most] < 1 else "less than one"
-    assert f"it weighs as much as {count} of 3DGS" in sentence
+    share = 1 / ratios[most]
+    weighs = f"as much as {share:.1f} models" if share > 1 else "less than one model"
+    assert f"it weighs {weighs} of 3DGS, each of one" in sentence
     ((title, [line]),) = over_grids(payoffs(grids("3dgs", ratios))).items()
     assert (title, line.x, line.y) == ("field, SZ3 volume", sorted(ratios), pytest.approx([*ratios.values()]))
 
