@@ -196,8 +196,15 @@ class Race:
 
     def _compared(self, scene: str, own: Iterable[Any]) -> set[Any]:
         """Seeds of a scene that all methods have; a method's own where there are none."""
-        common = set.intersection(*(set(each[scene]) for each in self.fronts.values()))
-        return common or set(own)
+        return self._shared[scene] or set(own)
+
+    @cached_property
+    def _shared(self) -> dict[str, set[Any]]:
+        """Scene -> seeds that all methods have."""
+        scenes = next(iter(self.fronts.values()))
+        return {
+            scene: set.intersection(*(set(each[scene]) for each in self.fronts.values())) for scene in scenes
+        }
 
     @cached_property
     def leads(self) -> list[Lead]:

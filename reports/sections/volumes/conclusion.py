@@ -54,6 +54,11 @@ class Payoff:
     grid: tuple[str, float] | None
 
     @property
+    def panel(self) -> str:
+        """Field and volume: the title of its panel over grids; "" where the grid is not known."""
+        return f"{self.grid[0]}, {self.volume.title}" if self.grid else ""
+
+    @property
     def pays(self) -> bool:
         """Whether the model is smaller than a volume as good; False where such a volume is not known."""
         return self.bytes < self.needed and self.bound != "below"
@@ -146,7 +151,7 @@ def over_grids(found: Sequence[Payoff]) -> dict[str, list[Line]]:
     spots: dict[tuple[str, Model], list[tuple[float, float]]] = {}
     for one in found:
         if one.grid and not one.bound:
-            line = spots.setdefault((f"{one.grid[0]}, {one.volume.title}", one.model.model), [])
+            line = spots.setdefault((one.panel, one.model.model), [])
             line.append((one.grid[1], one.bytes / one.needed))
     panels: dict[str, list[Line]] = {}
     for (title, model), own in spots.items():
@@ -187,7 +192,7 @@ def _crossing(line: Line) -> float | None:
 def conclusion(found: Sequence[Payoff]) -> list[str]:
     """Which models are smaller than a volume that is as good, by dataset or field, and volume."""
     panels = over_grids(found)
-    found = [one for one in found if not one.grid or f"{one.grid[0]}, {one.volume.title}" not in panels]
+    found = [one for one in found if one.panel not in panels]
     sentences = [growth(title, lines) for title, lines in panels.items()]
     for dataset, volume in dict.fromkeys((one.dataset, one.volume.title) for one in found):
         rows = [one for one in found if (one.dataset, one.volume.title) == (dataset, volume)]
