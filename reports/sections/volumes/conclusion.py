@@ -61,7 +61,14 @@ class Payoff:
     @property
     def pays(self) -> bool:
         """Whether the model is smaller than a volume as good; False where such a volume is not known."""
-        return self.bytes < self.needed and self.bound != "below"
+        return self.smaller is True
+
+    @property
+    def smaller(self) -> bool | None:
+        """Whether the model is smaller than a volume as good; None if the volume's curve leaves it open."""
+        if self.bytes < self.needed:
+            return None if self.bound == "below" else True
+        return None if self.bound == "above" else False
 
 
 def sides(dvr: pd.DataFrame) -> dict[str, float]:
@@ -161,28 +168,66 @@ def over_grids(found: Sequence[Payoff]) -> dict[str, list[Line]]:
     return panels
 
 
-def growth(title: str, lines: Sequence[Line]) -> str:
-    """From which grid on models are smaller than the volume, and how many of them weigh as much as it."""
-    parts = []
-    for line in sorted(lines, key=lambda line: line.y[-1]):
-        if line.y[-1] >= 1.0:
-            parts.append(f"{line.title} on none")
-        elif (least := _crossing(line)) is None:
-            parts.append(f"{line.title} on all")
+def growth(title: str, rows: Sequence[Payoff], lines: Sequence[Line]) -> str | None:
+    """From which grid on models are smaller than the volume, and how many of them weigh as much as it.
+
+    Args:
+        title: of field and volume.
+        rows: of them, on several grids.
+        lines: of :func:`over_grids`.
+
+    Returns:
+        None where nothing is known of a model on more than one grid.
+    """
+    cubes = {n: f"{n:,.0f}\N{SUPERSCRIPT THREE}" for n in sorted({one.grid[1] for one in rows if one.grid})}
+    crossings = {line.model: _crossing(line) for line in lines}
+    found: dict[str, tuple[float, list[str]]] = {}
+    for model in dict.fromkeys(one.model.model for one in rows):
+        own = sorted((one.grid[1], one.smaller) for one in rows if one.grid and one.model.model == model)
+        known = [(n, smaller) for n, smaller in own if smaller is not None]
+        if len(known) < 2:
+            continue
+        smaller_on = [n for n, smaller in known if smaller]
+        if len(smaller_on) == len(own):
+            where, least = "on all", 0.0
+        elif not smaller_on:
+            where, least = "on none", math.inf
+        elif known[-1][1] and (crossing := crossings.get(model)) is not None:
+            where, least = f"from about {crossing:,.0f}\N{SUPERSCRIPT THREE} on", crossing
         else:
-            parts.append(f"{line.title} from about {least:,.0f}\N{SUPERSCRIPT THREE} on")
-    best = min(lines, key=lambda line: line.y[-1])
-    ratio = best.y[-1]
-    weighs = f"as much as {1.0 / ratio:.1f} models" if ratio < 1.0 else "less than one model"
+            where, least = f"on {', '.join(cubes[n] for n in smaller_on)}", smaller_on[0]
+        title_of = next(one.model.title for one in rows if one.model.model == model)
+        found.setdefault(where, (least, []))[1].append(title_of)
+    if not found:
+        return None
+    parts = [
+        f"{', '.join(names)} {where}"
+        for where, (_, names) in sorted(found.items(), key=lambda one: one[1][0])
+    ]
+    first, *_, last = cubes.values()
     return (
-        f"{title}: smaller at equal PSNR, of grids from {lines[0].x[0]:,.0f}\N{SUPERSCRIPT THREE} to "
-        f"{lines[0].x[-1]:,.0f}\N{SUPERSCRIPT THREE}: {', '.join(parts)}. The volume serves every transfer "
-        f"function; on the largest grid it weighs {weighs} of {best.title}, each of one."
+        f"{title}: smaller at equal PSNR, of grids from {first} to {last}: {'; '.join(parts)}.{_weight(rows)}"
     )
 
 
+def _weight(rows: Sequence[Payoff]) -> str:
+    """What the volume weighs on the largest grid, in models; "" where nothing is known of it."""
+    side = max(one.grid[1] for one in rows if one.grid)
+    largest = [one for one in rows if one.grid and one.grid[1] == side and one.smaller is not None]
+    if not largest:
+        return ""
+    best = min(largest, key=lambda one: (not one.smaller, one.bytes / one.needed))
+    least = "at least " if best.bound == "above" else ""
+    weighs = (
+        f"as much as {least}{best.needed / best.bytes:.1f} models" if best.smaller else "less than one model"
+    )
+    return f" On the largest grid the volume weighs {weighs} of {best.model.title}."
+
+
 def _crossing(line: Line) -> float | None:
-    """Where a line falls below 1 for good, linear in the logarithms; None if it is never above."""
+    """Where a line falls below 1 for good, linear in the logarithms; None if it does not."""
+    if line.y[-1] >= 1.0:
+        return None
     for (a, high), (b, low) in reversed(list(pairwise(zip(line.x, line.y, strict=True)))):
         if high >= 1.0:
             return float(a * (b / a) ** (math.log(high) / math.log(high / low)))
@@ -192,8 +237,12 @@ def _crossing(line: Line) -> float | None:
 def conclusion(found: Sequence[Payoff]) -> list[str]:
     """Which models are smaller than a volume that is as good, by dataset or field, and volume."""
     panels = over_grids(found)
-    found = [one for one in found if one.panel not in panels]
-    sentences = [growth(title, lines) for title, lines in panels.items()]
+    sentences = []
+    for title in dict.fromkeys(one.panel for one in found if one.panel):
+        rows = [one for one in found if one.panel == title]
+        if len({one.grid for one in rows}) > 1 and (said := growth(title, rows, panels.get(title, []))):
+            sentences.append(said)
+            found = [one for one in found if one.panel != title]
     for dataset, volume in dict.fromkeys((one.dataset, one.volume.title) for one in found):
         rows = [one for one in found if (one.dataset, one.volume.title) == (dataset, volume)]
         paying = ", ".join(one.model.title for one in rows if one.pays)

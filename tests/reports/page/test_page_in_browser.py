@@ -344,7 +344,7 @@ def test_the_page_of_all_bundles_is_small_and_has_its_answer_first(driver: Brows
     from econgs_bench.reports.schema import read_tables
 
     measured = Path(__file__).parents[3] / "reports" / "measured"
-    every = sorted(measured.rglob("*.zip"))
+    every = sorted(measured.rglob("*.zip.xz"))
     text = (measured / "README.md").read_text(encoding="utf-8")
     (apart,) = re.findall(r"grep -v '(.*?)'", text)  # the command that makes this page
     words = apart.split(r"\|")

@@ -152,9 +152,48 @@ def test_from_which_grid_on_a_model_is_smaller_than_the_volume(ratios, says):
     assert f"field, SZ3 volume: smaller at equal PSNR, of grids from {least}³ to {most}³" in sentence
     share = 1 / ratios[most]
     weighs = f"as much as {share:.1f} models" if share > 1 else "less than one model"
-    assert f"it weighs {weighs} of 3DGS, each of one" in sentence
+    assert f"the volume weighs {weighs} of 3DGS." in sentence
     ((title, [line]),) = over_grids(payoffs(grids("3dgs", ratios))).items()
     assert (title, line.x, line.y) == ("field, SZ3 volume", sorted(ratios), pytest.approx([*ratios.values()]))
+
+
+def beyond(method, sizes, psnr=15.0):
+    """A model on each grid that the smallest volume measured surpasses (at 95 dB: that none reaches)."""
+    return {
+        f"field@{n}": [replace(curve(method, [size], [psnr]), dataset=f"field@{n}")]
+        for n, size in sizes.items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("sizes", "psnr", "says"),
+    [
+        ({64: 2e3, 128: 4e3}, 15.0, "3DGS on none. On the largest grid the volume "
+         "weighs less than one model of 3DGS"),
+        ({64: 2e5, 128: 1e4}, 95.0, None),  # the volume would have to be larger: by how much is open
+        ({64: 2e4, 128: 1e4}, 95.0, "3DGS on all. On the largest grid the volume "
+         "weighs as much as at least 10.0 models of 3DGS"),
+        ({64: 5e2, 128: 4e3}, 15.0, None),
+    ],
+)  # fmt: skip
+def test_a_model_that_the_volume_surpasses_at_every_size_is_known_not_to_pay(sizes, psnr, says):
+    rows = {name: [replace(VOLUME, dataset=name), *own] for name, own in beyond("3dgs", sizes, psnr).items()}
+    sentences = conclusion(payoffs(rows))
+    if says is None:
+        assert not any("grids" in one for one in sentences)
+    else:
+        (sentence,) = sentences
+        assert says in sentence
+
+
+def test_models_of_one_answer_are_named_together():
+    rows = grids("econgs", {64: 4.0, 128: 0.25})
+    for name, own in beyond("3dgs", {64: 2e3, 128: 2e3}).items():
+        rows[name] += own
+    for name, own in beyond("hac", {64: 2e3, 128: 2e3}).items():
+        rows[name] += own
+    (sentence,) = conclusion(payoffs(rows))
+    assert "ECoNGS-R from about 91³ on; 3DGS, HAC on none" in sentence
 
 
 def test_a_grid_whose_name_says_none_has_that_of_the_volume():
