@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import lzma
 import math
 import re
 import zipfile
@@ -16,6 +17,9 @@ DEPTH = 64
 """Arrays and objects of JSON within each other; what this program writes has fewer than 20."""
 _RATIO = 100
 _LEAST = 64 * 2**20
+_XZ_MEMORY = 128 * 2**20
+"""Bytes; the strongest preset of xz takes 65 MiB."""
+_XZ_PIECE = 2**20
 _VALUES_PER_BYTE = 4
 _LEAST_VALUES = 1_000_000
 _TEXT = re.compile(r'"(?:[^"\\]|\\.)*"', re.DOTALL)
@@ -114,6 +118,34 @@ def inflated(data: bytes, size: int) -> bytes:
         held = "more" if len(plain) > size else str(len(plain))
         raise ValueError(f"a deflated stream holds {held} bytes, not {size}")
     return plain
+
+
+def unpressed(source: IO[bytes], out: IO[bytes], most: int) -> None:
+    """Write the bytes that a file of xz holds.
+
+    Args:
+        source: the file.
+        out: where they go.
+        most: number of bytes that it may hold.
+
+    Raises:
+        ValueError: it is damaged, holds more bytes or more than one stream, or needs more than 128 MiB of
+            memory.
+    """
+    decoder, left = lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=_XZ_MEMORY), most
+    try:
+        while not decoder.eof:
+            data = source.read(_XZ_PIECE) if decoder.needs_input else b""
+            if decoder.needs_input and not data:
+                raise ValueError("a stream of xz was cut")
+            plain = decoder.decompress(data, _XZ_PIECE)
+            if (left := left - len(plain)) < 0:
+                raise ValueError(f"a stream of xz holds more than {most} bytes")
+            out.write(plain)
+    except (lzma.LZMAError, MemoryError) as error:
+        raise ValueError(f"a stream of xz is damaged ({error})") from error
+    if decoder.unused_data or source.read(1):
+        raise ValueError("a stream of xz is followed by other bytes")
 
 
 def opened(archive: zipfile.ZipFile, name: str) -> IO[bytes]:

@@ -3,7 +3,7 @@
     python docs/generate.py
 
 A block begins with ``<!-- KIND``, a description in TOML and ``-->``, and ends with ``<!-- end -->``.
-``bundles`` are names of files in the folders of ``reports/measured``, without ".zip"; the records of all of
+``bundles`` are names of files in folders of ``reports/measured``, without ".zip.xz"; the records of all of
 them make one report. The kinds and their keys:
 
 ``verdict``  a section of the report: its conclusion, its table and its conditions
@@ -37,7 +37,6 @@ import math
 import re
 import tempfile
 import tomllib
-import zipfile
 from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
@@ -45,6 +44,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
+from econgs_bench.bench.results.bundle import zip_of
 from econgs_bench.bench.results.tables import build_tables
 from econgs_bench.bench.store.store import Store
 from econgs_bench.methods.registry import Registry
@@ -122,8 +122,8 @@ def tables(bundles: tuple[str, ...]) -> dict[str, pd.DataFrame]:
     """The tables of a run store that holds the records of these bundles."""
     with tempfile.TemporaryDirectory() as folder:
         for bundle in bundles:
-            (path,) = MEASURED.rglob(f"{bundle}.zip")
-            with zipfile.ZipFile(path) as archive:
+            (path,) = MEASURED.rglob(f"{bundle}.zip.xz")
+            with zip_of(path) as archive:
                 names = [name for name in archive.namelist() if not name.startswith("tables/")]
                 archive.extractall(folder, names)
         return build_tables(Store(Path(folder)), Registry().specs, write=False)
@@ -391,8 +391,8 @@ def from_csv(block: dict[str, Any]) -> str:
 def bundle_list(_: dict[str, Any]) -> str:
     """Every bundle with its page and content."""
     rows = []
-    for path in sorted(MEASURED.rglob("*.zip")):
-        results = by_scene_choice(tables((path.stem,))["results"])
+    for path in sorted(MEASURED.rglob("*.zip.xz")):
+        results = by_scene_choice(tables((path.name.removesuffix(".zip.xz"),))["results"])
         seen = {name: set(results[name].dropna()) for name in ("dataset", "method", "preset", "seed")}
         parts = (
             [f"`{name}`" for name in sorted(seen["dataset"])],

@@ -129,7 +129,7 @@ def cache(options: Namespace) -> int:
 def bundle_arguments(parser: ArgumentParser) -> None:
     """What ``bench bundle`` takes."""
     add_runs(parser)
-    parser.add_argument("--out", required=True, metavar="FILE", help="the zip file")
+    parser.add_argument("--out", required=True, metavar="FILE", help="NAME.zip, or NAME.zip.xz: smaller")
     parser.add_argument("--models", action="store_true", help="with the encoded models")
 
 

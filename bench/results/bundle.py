@@ -4,6 +4,8 @@ A bundle is a zip of a run store without its pictures, so that it can be unpacke
 
     bundle.json     format, environments, and SHA-256 and length of every other file
     tables/*.csv    the documented tables, which must follow from the records
+
+A name that ends with .xz is of that zip, compressed as a whole: a third of the bytes, as records are alike.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ import errno
 import hashlib
 import io
 import json
+import lzma
 import os
 import shutil
 import struct
@@ -33,7 +36,14 @@ from econgs_bench.bench.results.verification import Evidence, absences, contradi
 from econgs_bench.bench.store.records import SCHEMA, Provenance, Record
 from econgs_bench.bench.store.store import LONGEST, Store, read_record
 from econgs_bench.bench.suites.ladders import Ladder
-from econgs_bench.datasets.bounded import json_of, number_of_values, opened, room, values_room
+from econgs_bench.datasets.bounded import (
+    json_of,
+    number_of_values,
+    opened,
+    room,
+    unpressed,
+    values_room,
+)
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.hashes import hash_of
 from econgs_bench.datasets.seals import SEALED_SINCE, is_sealed
@@ -53,6 +63,7 @@ _REVISED = {"scenes_together"}
 _LONG = {"features", "losses", "scenes", "views", "rung_views"}
 """Tables that take more room than all others and that nobody reads as CSV; records hold them too."""
 _PIECE = 2**20
+_XZ = b"\xfd7zXZ\0"
 
 
 def write_bundle(store: Store, out: Path, *, models: bool = False) -> int:
@@ -60,7 +71,7 @@ def write_bundle(store: Store, out: Path, *, models: bool = False) -> int:
 
     Args:
         store: the run store.
-        out: path of the zip file.
+        out: path of the zip file, or of one in xz.
         models: include the encoded models.
 
     Returns:
@@ -76,7 +87,7 @@ def write_bundle(store: Store, out: Path, *, models: bool = False) -> int:
     out.parent.mkdir(parents=True, exist_ok=True)
     aside = out.with_name(f".{out.name}.{uuid.uuid4().hex}")
     try:
-        with zipfile.ZipFile(aside, "w", zipfile.ZIP_DEFLATED) as archive:
+        with _written(aside, pressed=out.suffix == ".xz") as archive:
             for name, data in _contents(store, records, models):
                 archive.writestr(name, data)
                 files[name] = {"sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}
@@ -91,6 +102,32 @@ def write_bundle(store: Store, out: Path, *, models: bool = False) -> int:
     finally:
         aside.unlink(missing_ok=True)
     return len(records)
+
+
+@contextmanager
+def _written(path: Path, *, pressed: bool) -> Iterator[zipfile.ZipFile]:
+    if not pressed:
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+            yield archive
+    else:
+        with lzma.open(path, "wb", preset=9) as file, zipfile.ZipFile(file, "w") as archive:
+            yield archive
+
+
+@contextmanager
+def zip_of(path: Path) -> Iterator[zipfile.ZipFile]:
+    """The zip file of a bundle, unpacked aside if it is in xz.
+
+    Raises:
+        OSError, ValueError, zipfile.BadZipFile: the file cannot be read, or is damaged.
+    """
+    with path.open("rb") as file, tempfile.TemporaryFile() as plain:
+        pressed = file.read(len(_XZ)) == _XZ
+        file.seek(0)
+        if pressed:
+            unpressed(file, plain, room(path.stat().st_size))
+        with zipfile.ZipFile(plain if pressed else file) as archive:
+            yield archive
 
 
 def _contents(store: Store, records: list[Record], models: bool) -> Iterator[tuple[str, bytes]]:
@@ -156,7 +193,7 @@ def unpack(path: Path, folder: Path) -> Verdict:
     """
     try:
         size = path.stat().st_size
-        with zipfile.ZipFile(path) as archive:
+        with zip_of(path) as archive:
             manifest = _manifest(archive, path, size)
             problems = _extract(archive, manifest["files"], folder)
             return Verdict(problems) if problems else _check_store(folder, manifest, values_room(size))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import lzma
 import re
 import subprocess
 import sys
@@ -242,14 +243,15 @@ def test_texts_beyond_any_bundle_are_refused_unread(packed, tmp_path, monkeypatc
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(place=st.floats(0.0, 1.0), cut=st.booleans())
-def test_damage_is_a_named_error_or_a_named_problem(packed, tmp_path, place, cut):
-    data = bytearray(packed.read_bytes())
+@pytest.mark.parametrize("suffix", ["", ".xz"])
+def test_damage_is_a_named_error_or_a_named_problem(packed, tmp_path, place, cut, suffix):
+    data = bytearray(lzma.compress(packed.read_bytes()) if suffix else packed.read_bytes())
     at = min(int(place * len(data)), len(data) - 1)
     if cut:
         del data[at:]
     else:
         data[at] ^= 0x41
-    path = tmp_path / "damaged.zip"
+    path = tmp_path / f"damaged.zip{suffix}"
     path.write_bytes(data)
     try:
         problems = verify_bundle(path)
@@ -258,6 +260,45 @@ def test_damage_is_a_named_error_or_a_named_problem(packed, tmp_path, place, cut
     # A flipped bit may hit what zip says twice (times, attributes): then nothing that counts has changed.
     assert not cut
     assert all(problems)
+
+
+def test_a_bundle_in_xz_is_smaller_and_holds_the_same(finished, packed, tmp_path):
+    pressed = tmp_path / "mine.zip.xz"
+    write_bundle(Store(finished.store), pressed, models=True)
+    assert pressed.stat().st_size < packed.stat().st_size
+    assert verify_bundle(pressed) == []
+    with (
+        zipfile.ZipFile(packed) as own,
+        zipfile.ZipFile(io.BytesIO(lzma.decompress(pressed.read_bytes()))) as plain,
+    ):
+        assert plain.testzip() is None
+        assert {name: plain.read(name) for name in plain.namelist()} == {
+            name: own.read(name) for name in own.namelist()
+        }
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (lzma.compress(bytes(80 << 20)), "holds more than 67108864 bytes"),
+        (
+            lzma.compress(
+                b"a",
+                filters=[{"id": lzma.FILTER_LZMA2, "dict_size": 192 << 20, "mf": lzma.MF_HC3, "nice_len": 8}],
+            ),
+            "[Mm]emory",
+        ),
+        (lzma.compress(b"a")[:-9], "was cut"),
+        (lzma.compress(b"a") * 2, "followed by other bytes"),
+        (lzma.compress(b"a"), "not a zip file"),
+    ],
+    ids=["bomb", "memory", "cut", "more", "no zip"],
+)
+def test_streams_of_xz_that_are_no_bundle_are_refused(tmp_path, data, reason):
+    path = tmp_path / "a.zip.xz"
+    path.write_bytes(data)
+    with pytest.raises(DataError, match=f"cannot be read as a bundle.*{reason}"):
+        verify_bundle(path)
 
 
 def test_what_is_no_bundle_is_refused(tmp_path):
@@ -273,7 +314,7 @@ def test_what_is_no_bundle_is_refused(tmp_path):
     assert not (tmp_path / "out.zip").exists()
 
 
-MEASURED = sorted((Path(__file__).resolve().parents[2] / "reports" / "measured").rglob("*.zip"))
+MEASURED = sorted((Path(__file__).resolve().parents[2] / "reports" / "measured").rglob("*.zip.xz"))
 
 
 @pytest.mark.parametrize("path", MEASURED, ids=lambda path: path.stem)

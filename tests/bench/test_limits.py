@@ -6,7 +6,6 @@ import math
 import subprocess
 import sys
 import time
-import zipfile
 from collections import defaultdict
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,6 +14,7 @@ import psutil
 import pytest
 
 from econgs_bench.bench.plan.estimates import Past
+from econgs_bench.bench.results.bundle import zip_of
 from econgs_bench.bench.run.limits import (
     LEAST_SECONDS,
     OFF,
@@ -34,13 +34,13 @@ from econgs_bench.methods.registry import Registry
 
 from .conftest import plan
 
-BUNDLES = sorted((Path(__file__).parents[2] / "reports" / "measured").rglob("*.zip"))
+BUNDLES = sorted((Path(__file__).parents[2] / "reports" / "measured").rglob("*.zip.xz"))
 BUSY = 8.0
 """How much longer a fit took on a busy machine than on the same machine at rest."""
 
 
 def _records(bundle: Path) -> list[Record]:
-    with zipfile.ZipFile(bundle) as archive:
+    with zip_of(bundle) as archive:
         names = [name for name in archive.namelist() if name.endswith("record.json")]
         texts = [unsealed(archive.read(name).decode()) for name in names]
         records = map(Record.model_validate_json, texts)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
 
+from econgs_bench.bench.results.bundle import zip_of
 from econgs_bench.bench.results.tables import stored_tables
 from econgs_bench.bench.store.records import SCHEMA, PruningResult, Record
 from econgs_bench.datasets.seals import unsealed
@@ -18,7 +18,7 @@ from econgs_bench.reports.curves import at_default_rates, curves
 from econgs_bench.reports.schema import PRUNED, joined, read_tables
 from tests.bench.test_versions import version
 
-MEASURED = sorted((Path(__file__).parents[2] / "reports" / "measured").rglob("*.zip"))
+MEASURED = sorted((Path(__file__).parents[2] / "reports" / "measured").rglob("*.zip.xz"))
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def test_stored_tables_are_read_as_they_were_derived(spec, tmp_path):
 @pytest.mark.parametrize("path", MEASURED, ids=lambda path: path.stem)
 def test_records_of_the_former_schema_have_their_settings(path):
     """Every label follows from the migrated settings, and every rate curve's knob is among them."""
-    with zipfile.ZipFile(path) as archive:
+    with zip_of(path) as archive:
         names = [name for name in archive.namelist() if name.startswith("jobs/fit-")]
         texts = [unsealed(archive.read(name).decode()) for name in names]
         records = [Record.model_validate_json(text) for text in texts]

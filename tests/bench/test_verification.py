@@ -17,12 +17,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from econgs_bench.bench.metrics.image import Pair, psnr, ssim
-from econgs_bench.bench.results.bundle import MANIFEST, verdict, verify_bundle, write_bundle
+from econgs_bench.bench.results.bundle import MANIFEST, verdict, verify_bundle, write_bundle, zip_of
 from econgs_bench.bench.results.verification import LEAST_ITERATION_SECONDS, least_ssim
 from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.seals import sealed, unsealed
 
-HONEST = Path(__file__).resolve().parents[2] / "reports" / "measured" / "speed" / "gpu-probe.zip"
+HONEST = Path(__file__).resolve().parents[2] / "reports" / "measured" / "speed" / "gpu-probe.zip.xz"
 VIEWS = 24
 VALUES = 3 * 800 * 800
 
@@ -30,7 +30,7 @@ VALUES = 3 * 800 * 800
 @pytest.fixture
 def store(tmp_path):
     folder = tmp_path / "store"
-    with zipfile.ZipFile(HONEST) as archive:
+    with zip_of(HONEST) as archive:
         archive.extractall(folder)
     (folder / MANIFEST).unlink()
     return folder
