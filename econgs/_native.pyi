@@ -1,7 +1,7 @@
 """Signatures of the compiled module; tests/econgs/test_native_stub.py compares them with it.
 
 All arrays are C-contiguous and on the CPU. The callers document shapes and meaning: econgs.splat.native,
-econgs.anchors.native, econgs.context.hash_grid, methods.ccnerf and methods.plenoxels.
+econgs.anchors.native, econgs.codec.hash_grid, methods.ccnerf and methods.plenoxels.
 """
 
 from collections.abc import Sequence

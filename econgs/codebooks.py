@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from torch import Tensor
 
-from econgs_bench.econgs.context.coder import Decoder, Encoder, exact_model
-from econgs_bench.econgs.context.tables import FREQUENCY_BITS
+from econgs_bench.econgs.codec.coder import Decoder, Encoder, exact_model
+from econgs_bench.econgs.codec.tables import FREQUENCY_BITS
 
 MOST_WORDS = 1 << 16
 TOLERANCE = 1e-4

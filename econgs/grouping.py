@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import squareform
 
-from econgs_bench.econgs.context.positions import morton_order
+from econgs_bench.econgs.codec.positions import morton_order
 
 SAMPLE = 512
 """Sampled points of each cloud: distances within 3 %, as with 2,048 random points."""

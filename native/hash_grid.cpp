@@ -1,4 +1,4 @@
-// Lookup in binary hash grids (econgs/context/hash_grid.py), forward and backward, four values per entry.
+// Lookup in binary hash grids (econgs/codec/hash_grid.py), forward and backward, four values per entry.
 // Plain 4-float vectors: the work is fetching, which wider vectors would not hasten.
 #include "hash_grid.h"
 

@@ -1,5 +1,5 @@
-// Lookup in binary hash grids with four values per entry (econgs/context/hash_grid.py), and noise of one step
-// (econgs/context/model.py).
+// Lookup in binary hash grids with four values per entry (econgs/codec/hash_grid.py), and noise of one step
+// (econgs/codec/model.py).
 #pragma once
 
 #include <cstdint>

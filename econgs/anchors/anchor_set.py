@@ -9,7 +9,7 @@ from torch import Tensor
 
 from econgs_bench.econgs.anchors.growing import AnchorRules, AnchorStatistics, grow, lattice_anchors, prunable
 from econgs_bench.econgs.anchors.scalings import Activation, activated, logarithms, of_logarithms
-from econgs_bench.econgs.context.symbols import SCALINGS
+from econgs_bench.econgs.codec.symbols import SCALINGS
 from econgs_bench.econgs.optim import Adam
 from econgs_bench.econgs.points import neighbour_distances
 

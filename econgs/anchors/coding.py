@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from econgs_bench.econgs.anchors.anchor_set import AnchorSet
-from econgs_bench.econgs.context.hash_grid import Lookup
-from econgs_bench.econgs.context.model import (
+from econgs_bench.econgs.codec.hash_grid import Lookup
+from econgs_bench.econgs.codec.model import (
     Attributes,
     Context,
     ContextConfig,
@@ -21,7 +21,7 @@ from econgs_bench.econgs.context.model import (
     Noisy,
     draw_sample,
 )
-from econgs_bench.econgs.context.positions import PositionGrid
+from econgs_bench.econgs.codec.positions import PositionGrid
 
 
 class Phases(Protocol):

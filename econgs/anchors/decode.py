@@ -15,7 +15,7 @@ from econgs_bench.datasets.camera import Camera
 from econgs_bench.econgs.anchors.decoders import NETWORKS, OFFSET_COLORS, Decoders
 from econgs_bench.econgs.anchors.gaussians import UnshadedGaussians, ViewGaussians
 from econgs_bench.econgs.anchors.shading import MAX_SHININESS, MAX_SPECULAR, Factors, unit
-from econgs_bench.econgs.context.symbols import SCALINGS
+from econgs_bench.econgs.codec.symbols import SCALINGS
 from econgs_bench.econgs.splat.composite import scale_depth
 from econgs_bench.econgs.splat.rasterise import choose_backend, values_trusted
 

@@ -11,7 +11,7 @@ from econgs_bench.econgs.anchors.decode import Vector, refuse_non_finite, rotati
 from econgs_bench.econgs.anchors.decoders import Decoder
 from econgs_bench.econgs.anchors.gaussians import ViewGaussians
 from econgs_bench.econgs.anchors.shading import unit
-from econgs_bench.econgs.context.symbols import SCALINGS
+from econgs_bench.econgs.codec.symbols import SCALINGS
 from econgs_bench.econgs.splat.composite import scale_depth
 from econgs_bench.econgs.splat.rasterise import choose_backend
 

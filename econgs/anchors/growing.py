@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from econgs_bench.econgs.context.symbols import SCALINGS
+from econgs_bench.econgs.codec.symbols import SCALINGS
 from econgs_bench.econgs.splat.rasterise import choose_backend
 
 LEVELS = 3

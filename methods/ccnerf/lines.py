@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from econgs_bench.econgs.context.hash_grid import compiled, native
+from econgs_bench.econgs.codec.hash_grid import compiled, native
 
 Lines = tuple[Tensor, Tensor, Tensor]
 """(size, ranks) along x, y and z; the first row lies at place 0, the last one at place 1."""

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from econgs_bench.econgs.context.hash_grid import compiled, native
+from econgs_bench.econgs.codec.hash_grid import compiled, native
 from econgs_bench.econgs.rays import Rays
 
 Corner = tuple[float, float, float]

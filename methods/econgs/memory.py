@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 
 from econgs_bench.datasets.scratch import is_mapped
-from econgs_bench.econgs.context.symbols import SCALINGS
+from econgs_bench.econgs.codec.symbols import SCALINGS
 from econgs_bench.methods.econgs.spec import EcongsOptions
 from econgs_bench.methods.econgs.start import starting_points
 from econgs_bench.methods.interface import Refused, SceneInput

@@ -19,11 +19,11 @@ from econgs_bench.datasets.scene import RGB
 from econgs_bench.econgs.anchors.decode import decode, decode_unshaded, visible_anchors
 from econgs_bench.econgs.anchors.decoders import Decoders
 from econgs_bench.econgs.anchors.gaussians import Gaussians, UnshadedGaussians
-from econgs_bench.econgs.context.arrays import Precision
-from econgs_bench.econgs.context.container import Kind, overhead, read_container
-from econgs_bench.econgs.context.group import GroupAttributes, SceneAttributes
-from econgs_bench.econgs.context.model import Attributes
-from econgs_bench.econgs.context.stream import encode_group
+from econgs_bench.econgs.codec.arrays import Precision
+from econgs_bench.econgs.codec.container import Kind, overhead, read_container
+from econgs_bench.econgs.codec.group import GroupAttributes, SceneAttributes
+from econgs_bench.econgs.codec.model import Attributes
+from econgs_bench.econgs.codec.stream import encode_group
 from econgs_bench.econgs.splat.composite import scale_depth
 from econgs_bench.methods.interface import Decoding, Edit
 from econgs_bench.methods.shared.coding import placed, placed_anchors, stored_networks

@@ -22,11 +22,11 @@ from econgs_bench.econgs.anchors.gaussians import ViewGaussians
 from econgs_bench.econgs.anchors.growing import AnchorRules
 from econgs_bench.econgs.anchors.scalings import activated
 from econgs_bench.econgs.anchors.shading import raw_specular
-from econgs_bench.econgs.context.arrays import round_arrays
-from econgs_bench.econgs.context.group import GroupAttributes, SceneAttributes
-from econgs_bench.econgs.context.model import Attributes, ContextConfig
-from econgs_bench.econgs.context.positions import PositionGrid
-from econgs_bench.econgs.context.quantiser import round_group
+from econgs_bench.econgs.codec.arrays import round_arrays
+from econgs_bench.econgs.codec.group import GroupAttributes, SceneAttributes
+from econgs_bench.econgs.codec.model import Attributes, ContextConfig
+from econgs_bench.econgs.codec.positions import PositionGrid
+from econgs_bench.econgs.codec.quantiser import round_group
 from econgs_bench.econgs.optim import Adam
 from econgs_bench.methods.econgs.control import STEPS, RateControl
 from econgs_bench.methods.econgs.model import EcongsModel, Group, decoders_metadata

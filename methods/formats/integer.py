@@ -22,14 +22,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from econgs_bench.econgs.context.coder import Decoder, Encoder, read_residuals, write_residuals
-from econgs_bench.econgs.context.positions import (
+from econgs_bench.econgs.codec.coder import Decoder, Encoder, read_residuals, write_residuals
+from econgs_bench.econgs.codec.positions import (
     PositionGrid,
     decode_positions,
     encode_positions,
     morton_order,
 )
-from econgs_bench.econgs.context.tables import (
+from econgs_bench.econgs.codec.tables import (
     FREQUENCY_BITS,
     MEAN_PARTS,
     SPREAD_OCTAVES,

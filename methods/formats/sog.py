@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from econgs_bench.datasets.bounded import json_of, opened, room
 from econgs_bench.econgs.codebooks import nearest, quantise, quantise_scalars
-from econgs_bench.econgs.context.positions import PositionGrid, morton_order
+from econgs_bench.econgs.codec.positions import PositionGrid, morton_order
 from econgs_bench.methods.formats.gaussians import COEFFICIENTS, SHAPES, Tables, checked, degree_of, tables
 from econgs_bench.methods.gaussian_splatting.model import SceneGaussians
 from econgs_bench.methods.shared.decoders import check_count, decoded

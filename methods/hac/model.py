@@ -9,9 +9,9 @@ from urllib.parse import quote
 
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.scene import RGB
-from econgs_bench.econgs.context.arrays import Precision
-from econgs_bench.econgs.context.group import GroupAttributes
-from econgs_bench.econgs.context.stream import Encoded, encode_group
+from econgs_bench.econgs.codec.arrays import Precision
+from econgs_bench.econgs.codec.group import GroupAttributes
+from econgs_bench.econgs.codec.stream import Encoded, encode_group
 from econgs_bench.methods.scaffold_gs.model import AnchorModel, SceneAnchors, decoders_for
 from econgs_bench.methods.shared.coding import placed, placed_anchors, stored_networks
 from econgs_bench.methods.shared.edits import triple

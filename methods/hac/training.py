@@ -12,11 +12,11 @@ from torch import Tensor
 from econgs_bench.datasets.camera import Camera
 from econgs_bench.econgs.anchors.anchor_set import MASKS
 from econgs_bench.econgs.anchors.coding import Coding, saved_grid
-from econgs_bench.econgs.context.arrays import round_arrays
-from econgs_bench.econgs.context.group import GroupAttributes, SceneAttributes
-from econgs_bench.econgs.context.model import Attributes, ContextConfig, draw_sample
-from econgs_bench.econgs.context.positions import PositionGrid
-from econgs_bench.econgs.context.quantiser import round_group
+from econgs_bench.econgs.codec.arrays import round_arrays
+from econgs_bench.econgs.codec.group import GroupAttributes, SceneAttributes
+from econgs_bench.econgs.codec.model import Attributes, ContextConfig, draw_sample
+from econgs_bench.econgs.codec.positions import PositionGrid
+from econgs_bench.econgs.codec.quantiser import round_group
 from econgs_bench.methods.hac.model import HacModel
 from econgs_bench.methods.hac.spec import HacOptions
 from econgs_bench.methods.interface import Checkpoint

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from econgs_bench.econgs.anchors.anchor_set import MASKS
-from econgs_bench.econgs.context.model import Attributes, ContextConfig, draw_sample
+from econgs_bench.econgs.codec.model import Attributes, ContextConfig, draw_sample
 from econgs_bench.methods.hac import training as hac
 from econgs_bench.methods.hac.training import LEAST_MASK
 from econgs_bench.methods.hac_plus.model import HacPlusModel

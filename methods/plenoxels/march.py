@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from econgs_bench.econgs.context.hash_grid import compiled, native
+from econgs_bench.econgs.codec.hash_grid import compiled, native
 from econgs_bench.econgs.rays import Rays
 from econgs_bench.econgs.splat.sh import harmonics
 from econgs_bench.methods.plenoxels.grid import SH, VoxelGrid, Voxels

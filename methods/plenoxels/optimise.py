@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from econgs_bench.econgs.context.hash_grid import compiled, native
+from econgs_bench.econgs.codec.hash_grid import compiled, native
 from econgs_bench.methods.plenoxels.grid import SH, VoxelGrid, Voxels
 
 EPS = 1e-8

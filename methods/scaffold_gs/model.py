@@ -20,8 +20,8 @@ from econgs_bench.datasets.scene import RGB
 from econgs_bench.econgs.anchors.decode import visible_anchors
 from econgs_bench.econgs.anchors.direct import ColorDecoders, decode_colors
 from econgs_bench.econgs.anchors.gaussians import Gaussians, apply_masks
-from econgs_bench.econgs.context.model import Attributes
-from econgs_bench.econgs.context.symbols import SCALINGS
+from econgs_bench.econgs.codec.model import Attributes
+from econgs_bench.econgs.codec.symbols import SCALINGS
 from econgs_bench.methods.gaussian_splatting.ply import Parts, properties, read_ply, write_ply
 from econgs_bench.methods.interface import Decoding, Edit
 from econgs_bench.methods.shared.coding import LARGEST

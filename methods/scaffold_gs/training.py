@@ -17,7 +17,7 @@ from econgs_bench.econgs.anchors.decode import visible_anchors
 from econgs_bench.econgs.anchors.direct import NETWORKS, ColorDecoders, decode_colors
 from econgs_bench.econgs.anchors.gaussians import Gaussians, apply_masks
 from econgs_bench.econgs.anchors.growing import AnchorRules
-from econgs_bench.econgs.context.model import Attributes
+from econgs_bench.econgs.codec.model import Attributes
 from econgs_bench.econgs.optim import Adam
 from econgs_bench.econgs.points import median_neighbour_distance
 from econgs_bench.methods.interface import Model, Refused, SceneInput

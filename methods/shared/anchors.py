@@ -17,7 +17,7 @@ from econgs_bench.econgs.anchors.decoders import Decoders
 from econgs_bench.econgs.anchors.direct import ColorDecoders
 from econgs_bench.econgs.anchors.gaussians import ViewGaussians, draw
 from econgs_bench.econgs.anchors.growing import AnchorRules
-from econgs_bench.econgs.context.model import Attributes
+from econgs_bench.econgs.codec.model import Attributes
 from econgs_bench.econgs.splat.rasterise import SplatImages
 from econgs_bench.methods.interface import Checkpoint, Refused, SceneInput
 from econgs_bench.methods.shared.densification import Densification, DrawnView

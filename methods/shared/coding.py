@@ -9,8 +9,8 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
-from econgs_bench.econgs.context.group import CodedContext, GroupAttributes, SceneAttributes
-from econgs_bench.econgs.context.model import Attributes, ContextConfig, ContextModel
+from econgs_bench.econgs.codec.group import CodedContext, GroupAttributes, SceneAttributes
+from econgs_bench.econgs.codec.model import Attributes, ContextConfig, ContextModel
 from econgs_bench.methods.shared.training import TrainingState
 
 N = TypeVar("N", bound=nn.Module)

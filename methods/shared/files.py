@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from econgs_bench.datasets.errors import DataError
-from econgs_bench.econgs.context.group import GroupAttributes
-from econgs_bench.econgs.context.stream import decode_group
+from econgs_bench.econgs.codec.group import GroupAttributes
+from econgs_bench.econgs.codec.stream import decode_group
 
 
 def saved_files(folder: Path, suffix: str, method: str) -> list[Path]:

@@ -21,7 +21,7 @@ from torch import Tensor
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.scene import RGB
 from econgs_bench.econgs.codebooks import Codebook, code_ids, decode_ids, decoded, pack_ids, unpack_ids
-from econgs_bench.econgs.context.positions import (
+from econgs_bench.econgs.codec.positions import (
     PositionGrid,
     decode_positions,
     encode_positions,

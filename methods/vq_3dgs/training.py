@@ -10,7 +10,7 @@ from torch import Tensor
 from econgs_bench.datasets.camera import Camera
 from econgs_bench.econgs.anchors.gaussians import Gaussians
 from econgs_bench.econgs.codebooks import Codebook, rounded
-from econgs_bench.econgs.context.positions import PositionGrid
+from econgs_bench.econgs.codec.positions import PositionGrid
 from econgs_bench.econgs.optim import Adam
 from econgs_bench.econgs.splat.sh import spherical_harmonics
 from econgs_bench.methods.gaussian_splatting.model import SceneGaussians

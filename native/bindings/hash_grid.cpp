@@ -1,4 +1,4 @@
-// Bindings of the binary hash grids; econgs/context/hash_grid.py is their only caller.
+// Bindings of the binary hash grids; econgs/codec/hash_grid.py is their only caller.
 #include "arrays.h"
 
 #include <nanobind/stl/vector.h>

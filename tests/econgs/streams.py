@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from econgs_bench.econgs.context.group import CodedContext, GroupAttributes, SceneAttributes
-from econgs_bench.econgs.context.hash_grid import GridConfig
-from econgs_bench.econgs.context.integer import IntegerHead, IntegerIntra, IntegerLayer
-from econgs_bench.econgs.context.model import ContextConfig
-from econgs_bench.econgs.context.positions import PositionGrid
+from econgs_bench.econgs.codec.group import CodedContext, GroupAttributes, SceneAttributes
+from econgs_bench.econgs.codec.hash_grid import GridConfig
+from econgs_bench.econgs.codec.integer import IntegerHead, IntegerIntra, IntegerLayer
+from econgs_bench.econgs.codec.model import ContextConfig
+from econgs_bench.econgs.codec.positions import PositionGrid
 
 GRID = GridConfig(volume=(3, 7, 12), planes=(6, 9), volume_log2=8, planes_log2=6)
 CONFIG = ContextConfig(features=8, offsets=3, steps=(0.125, 0.001, 0.001, 0.2), grid=GRID, hidden=12)

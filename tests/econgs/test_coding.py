@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from econgs_bench.econgs.anchors.coding import Coding
-from econgs_bench.econgs.context.model import Attributes
+from econgs_bench.econgs.codec.model import Attributes
 from tests.econgs.streams import CONFIG
 
 ALWAYS = SimpleNamespace(noisy=lambda i: True, coded=lambda i: True, exact=lambda i: i > 1)

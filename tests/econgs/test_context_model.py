@@ -9,9 +9,9 @@ import pytest
 import torch
 from scipy.stats import norm
 
-from econgs_bench.econgs.context.hash_grid import GridConfig
-from econgs_bench.econgs.context.integer import whole_values
-from econgs_bench.econgs.context.model import (
+from econgs_bench.econgs.codec.hash_grid import GridConfig
+from econgs_bench.econgs.codec.integer import whole_values
+from econgs_bench.econgs.codec.model import (
     Attributes,
     ContextConfig,
     ContextModel,
@@ -21,7 +21,7 @@ from econgs_bench.econgs.context.model import (
     draw_sample,
     normal_bits,
 )
-from econgs_bench.econgs.context.tables import coding_table, low_bits, spread_table
+from econgs_bench.econgs.codec.tables import coding_table, low_bits, spread_table
 from econgs_bench.econgs.optim import Adam
 
 GRID = GridConfig(volume=(4, 8, 16), planes=(32,), volume_log2=10, planes_log2=10)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from econgs_bench.datasets.errors import DataError
-from econgs_bench.econgs.context.container import Kind, Section, read_container, write_container
-from econgs_bench.econgs.context.culling import kept_offsets
-from econgs_bench.econgs.context.group import GroupAttributes
-from econgs_bench.econgs.context.quantiser import round_group
-from econgs_bench.econgs.context.stream import decode_group, encode_group
+from econgs_bench.econgs.codec.container import Kind, Section, read_container, write_container
+from econgs_bench.econgs.codec.culling import kept_offsets
+from econgs_bench.econgs.codec.group import GroupAttributes
+from econgs_bench.econgs.codec.quantiser import round_group
+from econgs_bench.econgs.codec.stream import decode_group, encode_group
 from tests.econgs.streams import arrays_of, group, with_culling, with_masks
 
 

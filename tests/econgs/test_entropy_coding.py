@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from econgs_bench.econgs.context import tables
-from econgs_bench.econgs.context.coder import (
+from econgs_bench.econgs.codec import tables
+from econgs_bench.econgs.codec.coder import (
     Decoder,
     Encoder,
     exact_model,
@@ -24,8 +24,8 @@ from econgs_bench.econgs.context.coder import (
     write_bits,
     write_residuals,
 )
-from econgs_bench.econgs.context.hash_grid import interpolate, make_lookup
-from econgs_bench.econgs.context.integer import (
+from econgs_bench.econgs.codec.hash_grid import interpolate, make_lookup
+from econgs_bench.econgs.codec.integer import (
     EXPONENT_RANGE,
     IntegerLayer,
     rounded_steps,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from econgs_bench.econgs.context.hash_grid import (
+from econgs_bench.econgs.codec.hash_grid import (
     HAC_GRID,
     SMALL_GRID,
     GridConfig,

@@ -11,22 +11,22 @@ import torch
 from scipy import stats
 
 from econgs_bench.datasets.errors import DataError
-from econgs_bench.econgs.context.coder import Decoder, Encoder
-from econgs_bench.econgs.context.container import Kind, Section, read_container, write_container
-from econgs_bench.econgs.context.group import CodedContext, GroupAttributes, SceneAttributes
-from econgs_bench.econgs.context.integer import ACTIVATION_BITS, HIDDEN_LIMIT, OUTPUT_LIMIT, MixedCoding
-from econgs_bench.econgs.context.mixture import Mixture, first_weight, read_mixture, write_mixture
-from econgs_bench.econgs.context.model import (
+from econgs_bench.econgs.codec.coder import Decoder, Encoder
+from econgs_bench.econgs.codec.container import Kind, Section, read_container, write_container
+from econgs_bench.econgs.codec.group import CodedContext, GroupAttributes, SceneAttributes
+from econgs_bench.econgs.codec.integer import ACTIVATION_BITS, HIDDEN_LIMIT, OUTPUT_LIMIT, MixedCoding
+from econgs_bench.econgs.codec.mixture import Mixture, first_weight, read_mixture, write_mixture
+from econgs_bench.econgs.codec.model import (
     Attributes,
     ContextConfig,
     ContextModel,
     Distribution,
     mixture_bits,
 )
-from econgs_bench.econgs.context.positions import PositionGrid
-from econgs_bench.econgs.context.quantiser import round_group
-from econgs_bench.econgs.context.stream import decode_group, encode_group
-from econgs_bench.econgs.context.tables import SPREADS, spread_table, step_log_table, step_table
+from econgs_bench.econgs.codec.positions import PositionGrid
+from econgs_bench.econgs.codec.quantiser import round_group
+from econgs_bench.econgs.codec.stream import decode_group, encode_group
+from econgs_bench.econgs.codec.tables import SPREADS, spread_table, step_log_table, step_table
 from tests.econgs.streams import CONFIG, GRID, arrays_of, coded_context, group, with_culling, with_masks
 
 MIXED = replace(CONFIG, chunk=3)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from econgs_bench.econgs.context.positions import (
+from econgs_bench.econgs.codec.positions import (
     PositionGrid,
     decode_positions,
     encode_positions,

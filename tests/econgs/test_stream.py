@@ -13,12 +13,12 @@ import pytest
 import torch
 
 from econgs_bench.datasets.errors import DataError
-from econgs_bench.econgs.context.group import CodedContext, GroupAttributes, SceneAttributes
-from econgs_bench.econgs.context.hash_grid import GridConfig
-from econgs_bench.econgs.context.model import Attributes, ContextConfig, ContextModel
-from econgs_bench.econgs.context.positions import PositionGrid
-from econgs_bench.econgs.context.quantiser import round_group
-from econgs_bench.econgs.context.stream import Encoded, decode_group, encode_group
+from econgs_bench.econgs.codec.group import CodedContext, GroupAttributes, SceneAttributes
+from econgs_bench.econgs.codec.hash_grid import GridConfig
+from econgs_bench.econgs.codec.model import Attributes, ContextConfig, ContextModel
+from econgs_bench.econgs.codec.positions import PositionGrid
+from econgs_bench.econgs.codec.quantiser import round_group
+from econgs_bench.econgs.codec.stream import Encoded, decode_group, encode_group
 from tests.econgs.streams import arrays_of, attribute_tensors, group, with_culling, with_masks
 
 GOLDEN = Path(__file__).parent / "data" / "golden_v1.econgs"

@@ -14,8 +14,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from econgs_bench.datasets.errors import DataError
-from econgs_bench.econgs.context.container import Kind, Section, overhead, read_container, write_container
-from econgs_bench.econgs.context.stream import decode_group, encode_group
+from econgs_bench.econgs.codec.container import Kind, Section, overhead, read_container, write_container
+from econgs_bench.econgs.codec.stream import decode_group, encode_group
 from tests.econgs.streams import group, with_masks
 
 DATA = encode_group(with_masks(group((30, 12)))).data

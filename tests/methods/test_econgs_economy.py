@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from econgs_bench.datasets.cloud import PointCloud
-from econgs_bench.econgs.context.arrays import round_arrays, write_arrays
+from econgs_bench.econgs.codec.arrays import round_arrays, write_arrays
 from econgs_bench.methods.econgs.control import RateControl
 from econgs_bench.methods.econgs.model import EcongsModel
 from econgs_bench.methods.econgs.schedule import Schedule

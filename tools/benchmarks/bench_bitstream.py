@@ -18,10 +18,10 @@ import numpy as np
 import torch
 
 from econgs_bench.datasets.cloud import read_ply
-from econgs_bench.econgs.context.group import CodedContext, GroupAttributes, SceneAttributes
-from econgs_bench.econgs.context.model import Attributes, ContextConfig, ContextModel
-from econgs_bench.econgs.context.positions import PositionGrid, encode_positions, morton_order
-from econgs_bench.econgs.context.stream import decode_group, encode_group
+from econgs_bench.econgs.codec.group import CodedContext, GroupAttributes, SceneAttributes
+from econgs_bench.econgs.codec.model import Attributes, ContextConfig, ContextModel
+from econgs_bench.econgs.codec.positions import PositionGrid, encode_positions, morton_order
+from econgs_bench.econgs.codec.stream import decode_group, encode_group
 from econgs_bench.econgs.splat import native
 from tools.benchmarks.turns import interleaved
 

@@ -95,7 +95,7 @@ def _json(data: bytes) -> bytes:
 
 
 def _container(data: bytes) -> bytes:
-    from econgs_bench.econgs.context.container import _CHECK, _ENTRY, _HEADER, MOST_SECTIONS, overhead
+    from econgs_bench.econgs.codec.container import _CHECK, _ENTRY, _HEADER, MOST_SECTIONS, overhead
 
     magic, version, count, _ = _HEADER.unpack_from(data)
     assert count <= MOST_SECTIONS

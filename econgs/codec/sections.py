@@ -1,7 +1,7 @@
 """The payloads of a stream's sections: what writes each beside what reads it (docs/reference/bitstream.md).
 
-Those of attributes and masks are in :mod:`.econgs.context.symbols`, of float arrays in
-:mod:`.econgs.context.arrays`.
+Those of attributes and masks are in :mod:`.econgs.codec.symbols`, of float arrays in
+:mod:`.econgs.codec.arrays`.
 """
 
 from __future__ import annotations
@@ -15,28 +15,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from econgs_bench.datasets.bounded import json_of
-from econgs_bench.econgs.context.arrays import Arrays, read_arrays, write_arrays
-from econgs_bench.econgs.context.coder import Decoder, Encoder, read_bits, write_bits
-from econgs_bench.econgs.context.container import Reader
-from econgs_bench.econgs.context.group import CodedContext, GroupAttributes
-from econgs_bench.econgs.context.hash_grid import GridConfig
-from econgs_bench.econgs.context.integer import (
+from econgs_bench.econgs.codec.arrays import Arrays, read_arrays, write_arrays
+from econgs_bench.econgs.codec.coder import Decoder, Encoder, read_bits, write_bits
+from econgs_bench.econgs.codec.container import Reader
+from econgs_bench.econgs.codec.group import CodedContext, GroupAttributes
+from econgs_bench.econgs.codec.hash_grid import GridConfig
+from econgs_bench.econgs.codec.integer import (
     MOST_INPUTS,
     Coding,
     IntegerHead,
     IntegerIntra,
     IntegerLayer,
 )
-from econgs_bench.econgs.context.model import MOST_ELEMENTS, ContextConfig
-from econgs_bench.econgs.context.positions import (
+from econgs_bench.econgs.codec.model import MOST_ELEMENTS, ContextConfig
+from econgs_bench.econgs.codec.positions import (
     PositionGrid,
     decode_positions,
     encode_positions,
     read_plain_positions,
     write_plain_positions,
 )
-from econgs_bench.econgs.context.quantiser import Quantised
-from econgs_bench.econgs.context.symbols import (
+from econgs_bench.econgs.codec.quantiser import Quantised
+from econgs_bench.econgs.codec.symbols import (
     SCALINGS,
     Present,
     read_features,

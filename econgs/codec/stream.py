@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from econgs_bench.datasets.errors import DataError
-from econgs_bench.econgs.context.arrays import Arrays, Precision, read_arrays, round_arrays, write_arrays
-from econgs_bench.econgs.context.container import (
+from econgs_bench.econgs.codec.arrays import Arrays, Precision, read_arrays, round_arrays, write_arrays
+from econgs_bench.econgs.codec.container import (
     ANEW,
     VERSIONS,
     Kind,
@@ -27,10 +27,10 @@ from econgs_bench.econgs.context.container import (
     read_container,
     write_container,
 )
-from econgs_bench.econgs.context.culling import kept_offsets
-from econgs_bench.econgs.context.group import CodedContext, GroupAttributes, SceneAttributes
-from econgs_bench.econgs.context.quantiser import quantise
-from econgs_bench.econgs.context.sections import (
+from econgs_bench.econgs.codec.culling import kept_offsets
+from econgs_bench.econgs.codec.group import CodedContext, GroupAttributes, SceneAttributes
+from econgs_bench.econgs.codec.quantiser import quantise
+from econgs_bench.econgs.codec.sections import (
     Header,
     Parts,
     read_attributes,
@@ -46,7 +46,7 @@ from econgs_bench.econgs.context.sections import (
     write_positions,
     write_scene,
 )
-from econgs_bench.econgs.context.symbols import (
+from econgs_bench.econgs.codec.symbols import (
     SCALINGS,
     Present,
     columns_of,

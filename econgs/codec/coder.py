@@ -16,7 +16,7 @@ import constriction
 import numpy as np
 from numpy.typing import NDArray
 
-from econgs_bench.econgs.context.tables import FREQUENCY_BITS, coding_table, low_bits
+from econgs_bench.econgs.codec.tables import FREQUENCY_BITS, coding_table, low_bits
 
 Categorical, Uniform = constriction.stream.model.Categorical, constriction.stream.model.Uniform
 RangeEncoder, RangeDecoder = constriction.stream.queue.RangeEncoder, constriction.stream.queue.RangeDecoder

@@ -18,8 +18,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from econgs_bench.econgs.context.hash_grid import VALUE_BITS
-from econgs_bench.econgs.context.tables import (
+from econgs_bench.econgs.codec.hash_grid import VALUE_BITS
+from econgs_bench.econgs.codec.tables import (
     MEAN_PARTS,
     REFINEMENT_LIMIT,
     REFINEMENT_SCALE,
@@ -123,7 +123,7 @@ class IntegerLayer:
 
 
 class Normals(NamedTuple):
-    """One of the two normal distributions of each feature of N anchors (:mod:`.econgs.context.mixture`).
+    """One of the two normal distributions of each feature of N anchors (:mod:`.econgs.codec.mixture`).
 
     Attributes:
         parts: (N, F) means, in sixteenths of a step.

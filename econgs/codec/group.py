@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from econgs_bench.econgs.context.arrays import Arrays
-from econgs_bench.econgs.context.hash_grid import interpolate, make_lookup
-from econgs_bench.econgs.context.integer import (
+from econgs_bench.econgs.codec.arrays import Arrays
+from econgs_bench.econgs.codec.hash_grid import interpolate, make_lookup
+from econgs_bench.econgs.codec.integer import (
     Coding,
     IntegerHead,
     IntegerIntra,
@@ -19,9 +19,9 @@ from econgs_bench.econgs.context.integer import (
     step_sizes,
     whole_values,
 )
-from econgs_bench.econgs.context.model import ContextConfig, ContextModel
-from econgs_bench.econgs.context.positions import PositionGrid
-from econgs_bench.econgs.context.symbols import columns_of
+from econgs_bench.econgs.codec.model import ContextConfig, ContextModel
+from econgs_bench.econgs.codec.positions import PositionGrid
+from econgs_bench.econgs.codec.symbols import columns_of
 
 _PIECE = 8192  # anchors per lookup
 
@@ -125,7 +125,7 @@ class GroupAttributes:
         decoders: weights of the shared decoders by name, float32.
         metadata: JSON object (options for the renderer).
         culling: whether offsets of Gaussians that the decoder ``opacity`` culls become 0 and take no bits
-            (:mod:`.econgs.context.culling`); only with context and without masks.
+            (:mod:`.econgs.codec.culling`); only with context and without masks.
         plain_positions: whether positions are stored as float32, not coded.
     """
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from econgs_bench.econgs.context.coder import Decoder, Encoder, flag_models
+from econgs_bench.econgs.codec.coder import Decoder, Encoder, flag_models
 
 AXIS_BITS = 16
 EXTENT_LIMIT = (1 << AXIS_BITS) - 1

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from econgs_bench.econgs.context.arrays import Arrays
-from econgs_bench.econgs.context.symbols import Present
+from econgs_bench.econgs.codec.arrays import Arrays
+from econgs_bench.econgs.codec.symbols import Present
 
 Whole = NDArray[np.int64]
 _BITS = 16

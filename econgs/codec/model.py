@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from econgs_bench.econgs.context.hash_grid import (
+from econgs_bench.econgs.codec.hash_grid import (
     GRIDS,
     SMALL_GRID,
     GridConfig,
@@ -26,7 +26,7 @@ from econgs_bench.econgs.context.hash_grid import (
     compiled,
     native,
 )
-from econgs_bench.econgs.context.integer import (
+from econgs_bench.econgs.codec.integer import (
     ACTIVATION_BITS,
     MOST_INPUTS,
     OUTPUT_LIMIT,

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from econgs_bench.datasets.errors import DataError
-from econgs_bench.econgs.context.coder import SYMBOL_LIMIT
-from econgs_bench.econgs.context.culling import kept_offsets
-from econgs_bench.econgs.context.group import GroupAttributes, SceneAttributes
-from econgs_bench.econgs.context.integer import Coding, IntegerIntra
-from econgs_bench.econgs.context.positions import morton_order
-from econgs_bench.econgs.context.symbols import SCALINGS, Present, columns_of
+from econgs_bench.econgs.codec.coder import SYMBOL_LIMIT
+from econgs_bench.econgs.codec.culling import kept_offsets
+from econgs_bench.econgs.codec.group import GroupAttributes, SceneAttributes
+from econgs_bench.econgs.codec.integer import Coding, IntegerIntra
+from econgs_bench.econgs.codec.positions import morton_order
+from econgs_bench.econgs.codec.symbols import SCALINGS, Present, columns_of
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from econgs_bench.econgs.context.coder import (
+from econgs_bench.econgs.codec.coder import (
     Decoder,
     Encoder,
     flag_models,
@@ -23,7 +23,7 @@ from econgs_bench.econgs.context.coder import (
     write_bits_at,
     write_escapes,
 )
-from econgs_bench.econgs.context.tables import (
+from econgs_bench.econgs.codec.tables import (
     CDF_BITS,
     CDF_REACH,
     MEAN_PARTS,
@@ -61,7 +61,7 @@ class Mixture:
 
     Attributes:
         parts: (2, n) means, in sixteenths of a step.
-        spreads: (2, n) indices of :func:`.econgs.context.tables.spread_table`.
+        spreads: (2, n) indices of :func:`.econgs.codec.tables.spread_table`.
         weight: (n,) of the first distribution, 2^-17, between 0 and 1 exclusively.
     """
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from econgs_bench.econgs.context.coder import (
+from econgs_bench.econgs.codec.coder import (
     Decoder,
     Encoder,
     read_bits,
@@ -13,9 +13,9 @@ from econgs_bench.econgs.context.coder import (
     write_bits,
     write_residuals,
 )
-from econgs_bench.econgs.context.container import Reader
-from econgs_bench.econgs.context.integer import Coding, IntegerIntra, MixedCoding
-from econgs_bench.econgs.context.mixture import Mixture, first_weight, read_mixture, write_mixture
+from econgs_bench.econgs.codec.container import Reader
+from econgs_bench.econgs.codec.integer import Coding, IntegerIntra, MixedCoding
+from econgs_bench.econgs.codec.mixture import Mixture, first_weight, read_mixture, write_mixture
 
 Present = NDArray[np.bool_]
 SCALINGS = 6

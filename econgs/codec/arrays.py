@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from econgs_bench.econgs.context.container import Kind, Reader, Section
+from econgs_bench.econgs.codec.container import Kind, Reader, Section
 
 Arrays = dict[str, NDArray[np.float32]]
 Precision = Literal["float32", "float16", "int8"]
