@@ -35,6 +35,7 @@ from __future__ import annotations
 import csv
 import math
 import re
+import sys
 import tempfile
 import tomllib
 from collections.abc import Callable, Iterable
@@ -450,7 +451,7 @@ def outdated(page: Path) -> dict[Path, str]:
 
 
 if __name__ == "__main__":
-    for page in pages():
+    for page in [Path(name).resolve() for name in sys.argv[1:]] or pages():
         for path, text in outdated(page).items():
             path.write_text(text, encoding="utf-8")
             print(path.relative_to(ROOT))

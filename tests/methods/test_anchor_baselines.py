@@ -1,7 +1,7 @@
 """Scaffold-GS and HAC on a tiny scene of known Gaussians: what both promise to the harness."""
 
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -40,9 +40,20 @@ def kind(request):
 
 
 @pytest.fixture(scope="module")
-def fitted(kind, tiny, scene):
-    recorder = tiny.Recorder(checkpoint_at=[1])
-    return kind.fit(scene, recorder, BUDGET), recorder
+def fits(tiny, scene):
+    """Name -> model and recorder of a whole fit, each made once."""
+
+    @cache
+    def of(name):
+        recorder = tiny.Recorder(checkpoint_at=[1, BUDGET])
+        return KINDS[name].fit(scene, recorder, BUDGET), recorder
+
+    return of
+
+
+@pytest.fixture
+def fitted(kind, fits):
+    return fits(kind.fit.spec.name)
 
 
 def test_a_fit_approaches_views_that_it_never_saw(kind, tiny, scene, fitted):
@@ -145,9 +156,8 @@ def test_gaussians_that_have_all_vanished_are_shown_again(depth, kind, scene):
     assert drawn(replace(scene, train=train), alpha_weight=0.3) == 0
 
 
-def test_networks_of_int8_take_a_quarter_and_are_drawn_as_they_are_stored(tmp_path, tiny, scene):
-    fit, recorder = KINDS["hac"].fit, tiny.Recorder(checkpoint_at=[BUDGET])
-    fit(scene, recorder, BUDGET)
+def test_networks_of_int8_take_a_quarter_and_are_drawn_as_they_are_stored(tmp_path, fits, scene):
+    fit, (_, recorder) = KINDS["hac"].fit, fits("hac")
     pictures, networks = {}, {}
     for precision in ("float32", "int8"):
         options = fit.options(decoder_precision=precision)
