@@ -154,8 +154,8 @@ def _first_break(climb: dict[str, Any] | None) -> str:
     return f"`{climb['rung']}` {', '.join(filter(None, [climb['failure'], ladders.amount(climb)]))}"
 
 
-_OF_ALL = ("not compared: ", "LPIPS: not measured")
-"""Remarks that hold of all tables of the paper."""
+_OF_ALL = re.compile(r"not compared: |LPIPS: not measured|[^:]+: not measured \(disturbed")
+"""Remarks that the page makes once, of all tables of the paper."""
 SECTIONS: dict[str, Callable[[Page], Section | None]] = {
     "answers": answers.section, "races": races.section, "rates": rates.section, "unseen": unseen.section,
     "volumes": volumes.section, "ladders": _ladders, "economy": economy.section,
@@ -370,7 +370,7 @@ def drawing(block: dict[str, Any]) -> str:
 def paper(block: dict[str, Any]) -> str:
     """A table of the paper, without its title and without what its page says of all: :data:`_OF_ALL`."""
     text = to_markdown(_papers(tuple(block["bundles"]))[block["table"]]).partition("\n\n")[2]
-    parts = dict.fromkeys(part for part in text.split("\n\n") if not part.startswith(_OF_ALL))
+    parts = dict.fromkeys(part for part in text.split("\n\n") if not _OF_ALL.match(part))
     return "\n\n".join(parts)
 
 
