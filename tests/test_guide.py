@@ -53,6 +53,7 @@ def shell(tmp_path: Path) -> Shell:
     return Shell(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_new_method_keeps_the_contract_from_a_folder_and_installed(shell: Shell) -> None:
     output = "".join(shell(block) for block in _blocks() if "bench run" not in block)
     assert len(re.findall(r"^passed ", output, re.M)) == 2 * len(CHECKS) + len(COMMAND_CHECKS)

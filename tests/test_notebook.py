@@ -42,6 +42,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     return execute, names
 
 
+@pytest.mark.slow
 def test_the_notebook_runs_and_shows_what_it_shows(run, capsys) -> None:
     execute, names = run
     Path("short.toml").write_text(SHORT, encoding="utf-8")

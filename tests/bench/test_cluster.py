@@ -90,6 +90,7 @@ def _hold(bench: Bench, cluster: str, tmp_path) -> tuple[subprocess.Popen, tuple
     return process, (*options, "--set", "fake.iterations=40")
 
 
+@pytest.mark.slow
 def test_a_sweep_with_a_worker_killed_and_one_that_hangs_ends_as_a_local_run(
     bench, dataset, tmp_path
 ) -> None:
@@ -202,6 +203,7 @@ def _ports(process: psutil.Process) -> list[int]:
     return sorted(ports)
 
 
+@pytest.mark.slow
 def test_another_user_of_the_machine_gives_no_orders_to_its_workers(bench, tmp_path) -> None:
     options = ("--set", "fake.behaviour=hold", "--set", f"fake.file={tmp_path / 'go on'}")
     run = bench.start(*options, "--set", "fake.iterations=40", "--executor", "dask", "--workers", 1)

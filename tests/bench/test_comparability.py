@@ -282,7 +282,7 @@ def test_the_gate_gives_the_reason(planted, clean, tmp_path, capsys) -> None:
 
 def test_the_documentation_gives_the_reason(planted, generate, tmp_path, monkeypatch) -> None:
     case, store, _ = planted
-    write_bundle(store, tmp_path / "planted.zip")
+    write_bundle(store, tmp_path / "planted.zip.xz")
     monkeypatch.setattr(generate, "MEASURED", tmp_path)
     generate.tables.cache_clear()
     block = 'bundles = ["planted"]\nrows = ["dataset", "method"]\ncolumns = ["psnr", "fps", "mib"]\n'

@@ -62,6 +62,7 @@ def changed(bench, before) -> set[str]:
     return {name for name, record in bench.records().items() if record != before[name]}
 
 
+@pytest.mark.slow
 def test_disturbed_jobs_and_what_follows_from_them_run_again(six) -> None:
     frames = disturb(six, "measure", 1, frame_seconds_p95=0.05)
     amid = disturb(six, "measure", 2, reference_worst=0.2)
@@ -103,6 +104,7 @@ def test_a_finished_job_is_not_lost_where_it_fails_again(six, tmp_path, executor
     assert not list((six.store / "partial").iterdir())
 
 
+@pytest.mark.slow
 def test_a_finished_job_is_not_lost_where_its_next_run_is_killed(six, tmp_path) -> None:
     fit = disturb(six, "fit", 3, reference_worst=0.2)
     before = six.records()[fit]

@@ -81,7 +81,11 @@ def undisturbed(dataset, tmp_path_factory):
 
 @pytest.mark.parametrize(
     ("hold", "number"),
-    [("fake", signal.SIGINT), ("fake-torch", signal.SIGTERM), ("fake", signal.SIGHUP)],
+    [
+        ("fake-torch", signal.SIGTERM),
+        pytest.param("fake", signal.SIGINT, marks=pytest.mark.slow),
+        pytest.param("fake", signal.SIGHUP, marks=pytest.mark.slow),
+    ],
     indirect=["hold"],
 )
 def test_ctrl_c_checkpoints_and_resumes(bench, hold, undisturbed, number) -> None:
@@ -143,7 +147,11 @@ def test_killing_the_executor_stops_its_worker(bench, hold, undisturbed) -> None
 
 @pytest.mark.parametrize(
     ("hold", "victim"),
-    [("fake", "worker"), ("fake-torch", "worker"), ("fake-torch", "server")],
+    [
+        ("fake-torch", "worker"),
+        pytest.param("fake", "worker", marks=pytest.mark.slow),
+        pytest.param("fake-torch", "server", marks=pytest.mark.slow),
+    ],
     indirect=["hold"],
 )
 def test_killing_a_worker_or_its_server_is_a_failure_that_retry_resumes(

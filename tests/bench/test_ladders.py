@@ -297,6 +297,7 @@ def test_a_run_with_ladders(bench, suite, tmp_path) -> None:
     assert [ladder["name"] for ladder in ladders] == ["noise", "zoom", "opacity"]
 
 
+@pytest.mark.slow
 def test_a_rung_that_breaks_is_repeated(bench, suite) -> None:
     text = suite(
         'repeats = [1, 2]\nladders = [{ name = "b", title = "", rungs = '
@@ -311,6 +312,7 @@ def test_a_rung_that_breaks_is_repeated(bench, suite) -> None:
     assert "nothing to run" in again.stderr
 
 
+@pytest.mark.slow
 def test_a_bundle_keeps_its_ladders(bench, suite, tmp_path) -> None:
     from econgs_bench.bench.results.rungs import FILE
     from econgs_bench.bench.store.store import Store

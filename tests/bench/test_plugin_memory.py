@@ -109,6 +109,7 @@ def test_a_folder_with_another_owner_is_left_out(home, capsys) -> None:
     assert "another owner" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_commands_on_a_store_need_no_plugins_again_and_bundles_and_merges_bring_none(bench, tmp_path) -> None:
     bench.run()
     measure, store = bench.of_kind("measure")[0].job.id, ("--runs", bench.store)

@@ -131,7 +131,7 @@ def test_every_tenth_view_is_left_out_with_split_val(bench) -> None:
     assert [view.view for view in measure.result.views] == ["r_0009"]
 
 
-@pytest.mark.parametrize("method", ["fake", "fake-torch"])
+@pytest.mark.parametrize("method", [pytest.param("fake", marks=pytest.mark.slow), "fake-torch"])
 def test_failures_are_rows_and_the_rest_goes_on(bench, method) -> None:
     wrong = ("--set", f"{method}.behaviour=abort", "--set", f"{method}.only=a")
     done = bench.run(*wrong, scenes=("a", "b"), method=method, code=1)
@@ -235,6 +235,7 @@ def test_a_joint_method_is_partitioned_and_its_shares_sum(bench) -> None:
     assert table["train_seconds"].sum() == pytest.approx(spent)
 
 
+@pytest.mark.slow
 def test_a_mended_partition_leaves_no_failed_rows(bench, tmp_path) -> None:
     """Jobs of a failed partition have other identities than those that follow when it is mended."""
     cure = tmp_path / "cure"

@@ -41,6 +41,7 @@ def test_every_page_that_the_index_names_is_there_with_its_data(bundle, tmp_path
     assert "fake" in index
 
 
+@pytest.mark.slow
 def test_the_history_only_grows(bundle, finished, tmp_path) -> None:
     out = tmp_path / "site"
     assert _site(bundle, out) == 0

@@ -63,6 +63,7 @@ def test_every_encoding_shows_what_it_can(bench: Bench, what: str, encoding: str
     assert len(done.stdout.decode(encoding).splitlines()) > 2
 
 
+@pytest.mark.slow
 def test_a_run_in_ascii_prints_its_table_and_writes_its_page(bench: Bench) -> None:
     source = "a\N{LATIN SMALL LETTER E WITH ACUTE}"
     (bench.store.parent / source).symlink_to(bench.dataset)

@@ -166,6 +166,7 @@ def test_volumes_are_read_before_a_fit_for_methods_that_read_them():
     assert read == ["here"]
 
 
+@pytest.mark.slow
 def test_a_renderer_that_comes_or_goes_between_two_jobs_changes_nothing(bench, suite) -> None:
     """Fits that failed, another method and another rate go on with the views that are there."""
     run = partial(bench.run_suite, suite(), "--scene", "shock")

@@ -463,6 +463,7 @@ def undisturbed(bench, blind, tmp_path):
     return study, done
 
 
+@pytest.mark.slow
 def test_a_study_survives_kill_9_and_opens_no_test_view(bench, blind, undisturbed, tmp_path) -> None:
     """The same trials as without; finished jobs are not run again. No test picture can be read."""
     expected, done = undisturbed

@@ -165,7 +165,9 @@ def test_every_damaged_byte_is_found():
         read(data, Sz3(), "there")
 
 
-@pytest.mark.parametrize("codec", [Sz3(), Zfp()], ids=lambda codec: codec.name)
+@pytest.mark.parametrize(
+    "codec", [Sz3(), pytest.param(Zfp(), marks=pytest.mark.slow)], ids=lambda codec: codec.name
+)
 def test_damage_with_the_checksum_made_again_is_refused_or_a_volume(codec):
     data = Samples.of(volume("v", 5)).stored(codec, 0.01).data
     refused = 0
