@@ -203,11 +203,12 @@ def spz(count, points, version=3, degree=0):
 
 
 @pytest.mark.parametrize(
-    "data",
-    [spz(10, 9), spz(10, 11), spz(2**32 - 1, 10), spz(10, 10 << 20), spz(10, 10, 9), spz(10, 10, 3, 9),
-     spz(30_000_000, 30_000_000), gzip.compress(b"", mtime=0), b"NGSP", spz(10, 10)[:-12]],
+    "made",
+    [(10, 9), (10, 11), (2**32 - 1, 10), (10, 10 << 20), (10, 10, 9), (10, 10, 3, 9), (1 << 25, 1 << 25),
+     gzip.compress(b"", mtime=0), b"NGSP", spz(10, 10)[:-12]],
 )  # fmt: skip
-def test_spz_of_another_size_than_its_header_says_is_refused(data, monkeypatch) -> None:
+def test_spz_of_another_size_than_its_header_says_is_refused(made, monkeypatch) -> None:
+    data = made if isinstance(made, bytes) else spz(*made)
     gsply = pytest.importorskip("gsply")
     monkeypatch.setattr(gsply, "read_spz", lambda *_: pytest.fail("was decoded"))
     with own_streams(), pytest.raises(ValueError, match=r"SPZ|Gaussians|gzip"):
