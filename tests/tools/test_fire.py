@@ -15,7 +15,10 @@ from tests.bench.conftest import suite_file, write_dataset
 from tools.fire import damage, disks, kills, mutations, plugins, soak, strangers, together
 from tools.fire.attack import Tally, bench_in, contents, difference, leftovers, work_folder
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="signals, mounts and forks of Linux")
+pytestmark = [
+    pytest.mark.slow,  # at night, as the attacks themselves
+    pytest.mark.skipif(sys.platform != "linux", reason="signals, mounts and forks of Linux"),
+]
 
 
 @pytest.fixture(scope="module")
