@@ -13,7 +13,7 @@ from econgs_bench.reports.terminal import line_width
 
 HEADS = {
     "methods": ("Name", "Version", "Title", "From"),
-    "datasets": ("Name", "Samples", "Scenes", "Download", "Place", "Title"),
+    "datasets": ("Name", "Samples", "Scenes", "Place", "Title"),
     "suites": ("Name", "Title"),
     "metrics": ("Name", "Version", "Unit", "Better"),
 }
@@ -51,25 +51,25 @@ def _datasets(options: Namespace) -> Iterable[tuple[str, ...]]:
     for entry in list_datasets():
         if entry.kind == "broken":
             print(f"bench: {entry.where}", file=sys.stderr)
-            yield entry.name, "broken", "", "", "", ""
+            yield entry.name, "broken", "", "", ""
             continue
         dims = "\N{MULTIPLICATION SIGN}".join(map(str, entry.dims)) if entry.dims else ""
         if entry.kind == "procedural":
             place = "built in"
         else:
-            place = "here" if entry.available else entry.host or "missing"
+            size = f", {size_text(entry.size)}" if entry.size is not None else ""
+            place = "here" if entry.available else f"fetch{size}" if entry.host else "missing"
         missing |= not entry.available
         yield (
             entry.name,
             dims or ("views" if entry.kind == "views" else ""),
-            "1 scene" if len(entry.scenes) == 1 else f"{len(entry.scenes)} scenes",
-            size_text(entry.size) if entry.size is not None else "",
+            str(len(entry.scenes)),
             place,
             entry.title,
         )
     if missing:
         print(
-            "bench: `bench fetch NAME` downloads sets with a host, and names the source of missing ones",
+            "bench: `bench fetch NAME` downloads sets marked fetch, and names the source of missing ones",
             file=sys.stderr,
         )
 

@@ -54,7 +54,10 @@ def test_lists_start_without_heavy_imports(bench, what: str) -> None:
 
 @pytest.mark.parametrize("columns", [80, 120])
 @pytest.mark.parametrize("what", LISTS)
-def test_lists_have_heads_and_fit(monkeypatch, capsys, what: str, columns: int) -> None:
+@pytest.mark.parametrize("data", [True, False])
+def test_lists_have_heads_and_fit(monkeypatch, capsys, what: str, columns: int, data: bool) -> None:
+    if not data:
+        monkeypatch.delenv("BENCH_DATA", raising=False)
     monkeypatch.setenv("COLUMNS", str(columns))
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     assert main(["list", what]) == 0
