@@ -120,7 +120,7 @@ def inflated(data: bytes, size: int) -> bytes:
     return plain
 
 
-def unpressed(source: IO[bytes], out: IO[bytes], most: int) -> None:
+def decompress_xz(source: IO[bytes], out: IO[bytes], most: int) -> None:
     """Write the bytes that a file of xz holds.
 
     Args:

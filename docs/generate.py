@@ -1,6 +1,6 @@
 """Write the generated blocks of the pages anew from the bundles of ``reports/measured``.
 
-    python docs/generate.py
+    python docs/generate.py [PAGE ...]
 
 A block begins with ``<!-- KIND``, a description in TOML and ``-->``, and ends with ``<!-- end -->``.
 ``bundles`` are names of files in folders of ``reports/measured``, without ".zip.xz"; the records of all of
@@ -76,6 +76,7 @@ from econgs_bench.reports.tables.table import Table
 
 ROOT = Path(__file__).resolve().parents[1]
 MEASURED = ROOT / "reports" / "measured"
+BUNDLE = ".zip.xz"
 BLOCK = re.compile(r"(<!-- (verdict|table|chart|paper|csv|bundles)\b(.*?)-->\n).*?(<!-- end -->)", re.DOTALL)
 METHODS = (
     "3dgs", "3dgs-mcmc", "vq-3dgs", "3dgs-coded", "scaffold-gs", "hac", "hac-plus", "ivr-gs", "veg",
@@ -123,7 +124,7 @@ def tables(bundles: tuple[str, ...]) -> dict[str, pd.DataFrame]:
     """The tables of a run store that holds the records of these bundles."""
     with tempfile.TemporaryDirectory() as folder:
         for bundle in bundles:
-            (path,) = MEASURED.rglob(f"{bundle}.zip.xz")
+            (path,) = MEASURED.rglob(bundle + BUNDLE)
             with zip_of(path) as archive:
                 names = [name for name in archive.namelist() if not name.startswith("tables/")]
                 archive.extractall(folder, names)
@@ -392,8 +393,8 @@ def from_csv(block: dict[str, Any]) -> str:
 def bundle_list(_: dict[str, Any]) -> str:
     """Every bundle with its page and content."""
     rows = []
-    for path in sorted(MEASURED.rglob("*.zip.xz")):
-        results = by_scene_choice(tables((path.name.removesuffix(".zip.xz"),))["results"])
+    for path in sorted(MEASURED.rglob("*" + BUNDLE)):
+        results = by_scene_choice(tables((path.name.removesuffix(BUNDLE),))["results"])
         seen = {name: set(results[name].dropna()) for name in ("dataset", "method", "preset", "seed")}
         parts = (
             [f"`{name}`" for name in sorted(seen["dataset"])],

@@ -24,10 +24,10 @@ import uuid
 import zipfile
 import zlib
 from collections.abc import Collection, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from econgs_bench.bench.jobs.encode import EncodeResult
 from econgs_bench.bench.results.rungs import FILE, ladders_of
@@ -37,11 +37,11 @@ from econgs_bench.bench.store.records import SCHEMA, Provenance, Record
 from econgs_bench.bench.store.store import LONGEST, Store, read_record
 from econgs_bench.bench.suites.ladders import Ladder
 from econgs_bench.datasets.bounded import (
+    decompress_xz,
     json_of,
     number_of_values,
     opened,
     room,
-    unpressed,
     values_room,
 )
 from econgs_bench.datasets.errors import DataError
@@ -87,7 +87,7 @@ def write_bundle(store: Store, out: Path, *, models: bool = False) -> int:
     out.parent.mkdir(parents=True, exist_ok=True)
     aside = out.with_name(f".{out.name}.{uuid.uuid4().hex}")
     try:
-        with _written(aside, pressed=out.suffix == ".xz") as archive:
+        with _written(aside, xz=out.suffix == ".xz") as archive:
             for name, data in _contents(store, records, models):
                 archive.writestr(name, data)
                 files[name] = {"sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}
@@ -105,12 +105,12 @@ def write_bundle(store: Store, out: Path, *, models: bool = False) -> int:
 
 
 @contextmanager
-def _written(path: Path, *, pressed: bool) -> Iterator[zipfile.ZipFile]:
-    if not pressed:
-        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+def _written(path: Path, *, xz: bool) -> Iterator[zipfile.ZipFile]:
+    if xz:
+        with lzma.open(path, "wb", preset=9) as file, zipfile.ZipFile(file, "w") as archive:
             yield archive
     else:
-        with lzma.open(path, "wb", preset=9) as file, zipfile.ZipFile(file, "w") as archive:
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
             yield archive
 
 
@@ -121,13 +121,14 @@ def zip_of(path: Path) -> Iterator[zipfile.ZipFile]:
     Raises:
         OSError, ValueError, zipfile.BadZipFile: the file cannot be read, or is damaged.
     """
-    with path.open("rb") as file, tempfile.TemporaryFile() as plain:
-        pressed = file.read(len(_XZ)) == _XZ
+    with ExitStack() as stack:
+        file: IO[bytes] = stack.enter_context(path.open("rb"))
+        xz = file.read(len(_XZ)) == _XZ
         file.seek(0)
-        if pressed:
-            unpressed(file, plain, room(path.stat().st_size))
-        with zipfile.ZipFile(plain if pressed else file) as archive:
-            yield archive
+        if xz:
+            packed, file = file, stack.enter_context(tempfile.TemporaryFile())
+            decompress_xz(packed, file, room(path.stat().st_size))
+        yield stack.enter_context(zipfile.ZipFile(file))
 
 
 def _contents(store: Store, records: list[Record], models: bool) -> Iterator[tuple[str, bytes]]:

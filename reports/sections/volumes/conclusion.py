@@ -182,8 +182,10 @@ def growth(title: str, rows: Sequence[Payoff], lines: Sequence[Line]) -> str | N
     cubes = {n: f"{n:,.0f}\N{SUPERSCRIPT THREE}" for n in sorted({one.grid[1] for one in rows if one.grid})}
     crossings = {line.model: _crossing(line) for line in lines}
     found: dict[str, tuple[float, list[str]]] = {}
-    for model in dict.fromkeys(one.model.model for one in rows):
-        own = sorted((one.grid[1], one.smaller) for one in rows if one.grid and one.model.model == model)
+    for curve in {one.model.model: one.model for one in rows}.values():
+        own = sorted(
+            (one.grid[1], one.smaller) for one in rows if one.grid and one.model.model == curve.model
+        )
         known = [(n, smaller) for n, smaller in own if smaller is not None]
         if len(known) < 2:
             continue
@@ -192,12 +194,11 @@ def growth(title: str, rows: Sequence[Payoff], lines: Sequence[Line]) -> str | N
             where, least = "on all", 0.0
         elif not smaller_on:
             where, least = "on none", math.inf
-        elif known[-1][1] and (crossing := crossings.get(model)) is not None:
+        elif known[-1][1] and (crossing := crossings.get(curve.model)) is not None:
             where, least = f"from about {crossing:,.0f}\N{SUPERSCRIPT THREE} on", crossing
         else:
             where, least = f"on {', '.join(cubes[n] for n in smaller_on)}", smaller_on[0]
-        title_of = next(one.model.title for one in rows if one.model.model == model)
-        found.setdefault(where, (least, []))[1].append(title_of)
+        found.setdefault(where, (least, []))[1].append(curve.title)
     if not found:
         return None
     parts = [
