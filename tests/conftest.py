@@ -14,6 +14,11 @@ import pytest
 # A child's working directory would come first on its path: the source tree, which has no compiled module.
 os.environ["PYTHONSAFEPATH"] = "1"
 
+# Two processes of tests on two cores: idle threads of OpenMP that spin take them from each other.
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ["OMP_WAIT_POLICY"] = "passive"
+    os.environ["OMP_NUM_THREADS"] = "1"
+
 MAY_BE_MISSING = (
     "no CUDA device with gsplat here",
     "no CUDA device here",
