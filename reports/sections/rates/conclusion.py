@@ -120,10 +120,11 @@ def difference(
             [rate_intervals.RatePoint(one.psnr, one.bytes, one.row["jobs"]) for one in front]
             for front in fronts
         )
+        sizes = rate_intervals.sizes(results)
         if rate is not None:
-            around_rate = rate_intervals.interval(first, second, _log_bytes, views, results)
+            around_rate = rate_intervals.interval(first, second, _log_bytes, views, sizes)
         if psnr is not None:
-            around_psnr = rate_intervals.interval(first, second, _decibels, views, results)
+            around_psnr = rate_intervals.interval(first, second, _decibels, views, sizes)
     of_rate = of_psnr = p_rate = p_psnr = None
     if rate is not None and around_rate is not None and around_rate.half is not None:
         middle, half = np.log10(1 + rate / 100), around_rate.half

@@ -7,7 +7,7 @@ seed, as a metric has.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 Delta = Callable[[list[float], list[float], list[float], list[float]], float]
 """A number that compares two curves: from bytes and PSNR of the reference, then of the other one."""
+Sizes = Mapping[str, tuple[str, float]]
+"""Job -> its seed, and the bytes of its model."""
 _STEP_PSNR, _STEP_SIZE = 1e-3, 1e-4
 """Of derivatives, in dB and in log10 of bytes; less where points lie closer together."""
 
@@ -45,7 +47,7 @@ def interval(
     test: Sequence[RatePoint],
     delta: Delta,
     views: Views,
-    results: pd.DataFrame,
+    sizes: Sizes,
 ) -> Interval | None:
     """Interval of a number that compares two curves; None where test views are missing or not the same.
 
@@ -56,7 +58,7 @@ def interval(
         test: those of another one.
         delta: the number.
         views: values of test views.
-        results: the documented table, with a row for each job of the points.
+        sizes: of the jobs of the points, as :func:`sizes` gives them.
     """
     curves = (reference, test)
     psnr = [[point.psnr for point in curve] for curve in curves]
@@ -69,7 +71,7 @@ def interval(
     by_psnr = _slopes(lambda values: number(size, values), psnr, _STEP_PSNR)
     by_size = _slopes(lambda values: number(values, psnr), size, _STEP_SIZE)
     parts = [
-        _part(curve, sign * by_psnr[i], sign * by_size[i], views, results)
+        _part(curve, sign * by_psnr[i], sign * by_size[i], views, sizes)
         for i, (curve, sign) in enumerate(zip(curves, (-1.0, 1.0), strict=True))
     ]
     first, second = parts
@@ -96,7 +98,7 @@ def _slopes(
 
 
 def _part(
-    curve: Sequence[RatePoint], by_psnr: np.ndarray, by_size: np.ndarray, views: Views, results: pd.DataFrame
+    curve: Sequence[RatePoint], by_psnr: np.ndarray, by_size: np.ndarray, views: Views, sizes: Sizes
 ) -> Sample | None:
     """What a curve adds to the linear part: the weighted sum over its points, per view and per seed."""
     samples = []
@@ -113,7 +115,7 @@ def _part(
         common = shared_views([sample.scenes[scene] for sample in samples])
         rows = [sample.scenes[scene].at(common) for sample in samples]
         paths[scene] = Path(common, by_psnr @ np.array(rows))
-    bytes_of_seeds = [_bytes(results, point.jobs) for point in curve]
+    bytes_of_seeds = [_bytes(sizes, point.jobs) for point in curve]
     seeds = {}
     for seed in samples[0].seeds:
         if all(seed in sample.seeds for sample in samples) and all(seed in one for one in bytes_of_seeds):
@@ -123,8 +125,19 @@ def _part(
     return Sample(paths, seeds)
 
 
-def _bytes(results: pd.DataFrame, jobs: tuple[str, ...]) -> dict[str, float]:
+def sizes(results: pd.DataFrame) -> Sizes:
+    """Job -> its seed, and the bytes of its scenes, from the documented table."""
+    found: dict[str, tuple[str, float]] = {}
+    columns = (results["job"], results["seed"].astype(str), results["size_bytes"].astype(float))
+    for job, seed, size in zip(*columns, strict=True):
+        if size > 0:
+            found[job] = (seed, found.get(job, (seed, 0.0))[1] + size)
+    return found
+
+
+def _bytes(sizes: Sizes, jobs: tuple[str, ...]) -> dict[str, float]:
     """Seed -> bytes of its scenes."""
-    rows = results[results["job"].isin(list(jobs))]
-    sums = rows["size_bytes"].astype(float).groupby(rows["seed"].astype(str)).sum()
-    return {str(seed): float(value) for seed, value in sums.items() if value > 0}
+    sums: dict[str, float] = {}
+    for seed, size in (sizes[job] for job in jobs if job in sizes):
+        sums[seed] = sums.get(seed, 0.0) + size
+    return sums
