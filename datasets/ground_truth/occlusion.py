@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 
 from econgs_bench.datasets.ground_truth.model import Layer
 
@@ -50,6 +49,8 @@ def bake(
         table_size: entries of transfer function tables.
         most: maximum number of cubes along an axis.
     """
+    from scipy.ndimage import uniform_filter  # long to import, and few need it
+
     volume = layers[0].volume
     cube = -(-max(volume.dims) // most)
     shape = [-(-n // cube) for n in fields[0].shape]
