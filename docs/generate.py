@@ -25,6 +25,8 @@ them make one report. The kinds and their keys:
     alt      text that stands for the picture
 ``paper``    a table of the paper, measured over published values
     table    its name in reports/paper/published
+``claims``   how many of the paper's claims hold
+    file     in ``reports/measured``: every check
 ``csv``      a table that a program wrote; lines that begin with "#" are its caption
     file     in ``reports/measured``
 ``bundles``  every bundle with its page and content
@@ -38,6 +40,7 @@ import re
 import sys
 import tempfile
 import tomllib
+from collections import Counter
 from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
@@ -61,9 +64,12 @@ from econgs_bench.reports.sections.ladders import conclusion as ladders
 from econgs_bench.reports.sections.ladders import table as ladder_table
 from econgs_bench.reports.sections.ladders.table import climbed
 from econgs_bench.reports.sections.order import chart_sections
+from econgs_bench.reports.sections.paper import evidence
+from econgs_bench.reports.sections.paper.claims import VERDICTS, Verdict, check, outcomes
 from econgs_bench.reports.sections.paper.documents import to_markdown
 from econgs_bench.reports.sections.paper.tables import paper_tables
 from econgs_bench.reports.sections.paper.values import PaperTable
+from econgs_bench.reports.sections.paper.verdicts import to_csv
 from econgs_bench.reports.sections.races import section as races
 from econgs_bench.reports.sections.rates import section as rates
 from econgs_bench.reports.sections.section import Page, Section
@@ -77,7 +83,9 @@ from econgs_bench.reports.tables.table import Table
 ROOT = Path(__file__).resolve().parents[1]
 MEASURED = ROOT / "reports" / "measured"
 BUNDLE = ".zip.xz"
-BLOCK = re.compile(r"(<!-- (verdict|table|chart|paper|csv|bundles)\b(.*?)-->\n).*?(<!-- end -->)", re.DOTALL)
+BLOCK = re.compile(
+    r"(<!-- (verdict|table|chart|paper|claims|csv|bundles)\b(.*?)-->\n).*?(<!-- end -->)", re.DOTALL
+)
 METHODS = (
     "3dgs", "3dgs-mcmc", "vq-3dgs", "3dgs-coded", "scaffold-gs", "hac", "hac-plus", "ivr-gs", "veg",
     "plenoxels", "ccnerf", "econgs", "mesh", "sz3", "zfp",
@@ -381,6 +389,19 @@ def _papers(bundles: tuple[str, ...]) -> dict[str, PaperTable]:
     return {one.name: one for one in paper_tables(parts, Views(parts.get("views")))}
 
 
+def claims(block: dict[str, Any]) -> str:
+    """The number of claims with each verdict; :func:`generated` adds the file of all checks."""
+    counts = Counter(one.verdict.verdict for one in outcomes(_checked(tuple(block["bundles"]))))
+    return markdown(["verdict", "claims"], [[name, str(counts[name])] for name in VERDICTS if counts[name]])
+
+
+@cache
+def _checked(bundles: tuple[str, ...]) -> list[Verdict]:
+    parts = dict(tables(bundles))
+    papers = [*_papers(bundles).values(), *evidence.of_report(Report(parts))]
+    return check(papers, Views(parts.get("views")))
+
+
 def from_csv(block: dict[str, Any]) -> str:
     """A file of a program as a table, and its caption."""
     lines = (MEASURED / block["file"]).read_text(encoding="utf-8").splitlines()
@@ -410,7 +431,7 @@ def bundle_list(_: dict[str, Any]) -> str:
 
 
 KINDS: dict[str, Callable[[dict[str, Any]], str]] = {
-    "verdict": verdict, "table": table, "chart": chart, "paper": paper, "csv": from_csv,
+    "verdict": verdict, "table": table, "chart": chart, "paper": paper, "claims": claims, "csv": from_csv,
     "bundles": bundle_list,
 }  # fmt: skip
 
@@ -426,14 +447,16 @@ def _narrow(text: str) -> str:
 
 
 def generated(page: Path) -> dict[Path, str]:
-    """A page with its blocks written anew, and its charts: file -> content."""
+    """A page with its blocks written anew, and its charts and lists: file -> content."""
     text = page.read_text(encoding="utf-8")
     form = _narrow if page.is_relative_to(ROOT / "docs") else str
     files = {page: BLOCK.sub(lambda match: match[1] + form(_block(match[2], match[3])) + match[4], text)}
     for match in BLOCK.finditer(text):
+        block = tomllib.loads(match[3])
         if match[2] == "chart":
-            block = tomllib.loads(match[3])
             files[(page.parent / block["image"]).resolve()] = drawing(block)
+        elif match[2] == "claims":
+            files[MEASURED / block["file"]] = to_csv(_checked(tuple(block["bundles"])))
     return files
 
 

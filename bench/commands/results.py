@@ -13,6 +13,7 @@ from econgs_bench.bench.results.tables import build_tables
 from econgs_bench.bench.run.plugins import plugin_folders
 from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.errors import DataError
+from econgs_bench.reports.files import write_text
 from econgs_bench.reports.progress import step
 from econgs_bench.reports.schema import TABLES
 from econgs_bench.reports.terminal import line_width, print_prose
@@ -73,7 +74,7 @@ def report_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--check-claims",
         action="store_true",
-        help="list the paper's claims: hold, do not, not decided, not measured",
+        help="list the paper's claims: hold, do not, not decided, not measured; claims.csv has every check",
     )
     parser.add_argument(
         "--models",
@@ -99,7 +100,9 @@ def report(options: Namespace) -> int:
     contents = Report(tables)
     paper = paper_tables(tables, contents.views)
     if options.check_claims:
-        print(verdicts.to_text(claims.check([*paper, *of_report(contents)], contents.views)))
+        checked = claims.check([*paper, *of_report(contents)], contents.views)
+        print_prose(verdicts.to_text(checked))
+        write_text(page.parent / "claims.csv", verdicts.to_csv(checked))
     for table in paper:
         print_prose(documents.to_text(table))
     if not paper and (why := lacking(tables["results"])):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import errno
 import gzip
 import io
@@ -283,6 +284,8 @@ def test_claims_are_listed_where_they_are_asked_for(finished, capsys) -> None:
     assert found["not decided"] == "0"
     listed = re.findall(r"^not (?:measured|evaluated) ", output, re.MULTILINE)
     assert sum(map(int, re.findall(r"\d+", counts))) == len(listed)
+    with (finished.store / "claims.csv").open(encoding="utf-8", newline="") as file:
+        assert {row["verdict"] for row in csv.DictReader(file)} == {"not measured", "not evaluated"}
 
 
 def test_superseded_rows_are_counted_and_can_be_listed(finished, capsys) -> None:

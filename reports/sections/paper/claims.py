@@ -6,8 +6,8 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from itertools import product
-from typing import Any
+from itertools import groupby, product
+from typing import Any, NamedTuple
 
 from econgs_bench.reports.schema import METRICS
 from econgs_bench.reports.sections.paper import intervals
@@ -21,8 +21,8 @@ NOT_DECIDED = "not decided"
 UNKNOWN = "not measured"
 SKIPPED = "not evaluated"
 VERDICTS = (HOLDS, EXCEEDS, AMONG, FAILS, NOT_DECIDED, UNKNOWN, SKIPPED)
-_GRAVITY = (FAILS, NOT_DECIDED, HOLDS, EXCEEDS)
-"""Verdicts on pairs of rows, the one that decides first."""
+_GRAVITY = (FAILS, NOT_DECIDED, AMONG, HOLDS, EXCEEDS)
+"""Verdicts of several checks, the one that decides first."""
 _RATIOS = ("ratio", "speedup")
 _LEAST_COLUMNS = 2
 _LEAST_DATASETS = 3
@@ -81,6 +81,36 @@ def check(tables: Sequence[PaperTable], views: Views) -> list[Verdict]:
     """
     evidence = _Evidence({table.name: table.blocks for table in tables}, views)
     return [verdict for claim in claims() for verdict in evidence.verdicts(claim) or [_open(claim)]]
+
+
+class Outcome(NamedTuple):
+    """What all checks of a claim say together.
+
+    Attributes:
+        verdict: the one that decides.
+        alike: checks with its verdict.
+        checks: checks of the claim on such data.
+    """
+
+    verdict: Verdict
+    alike: int
+    checks: int
+
+
+def outcomes(verdicts: Sequence[Verdict]) -> list[Outcome]:
+    """One for each claim: the worst on the paper's own data, where they decide, else on others.
+
+    Args:
+        verdicts: of :func:`check`.
+    """
+    found = []
+    for _, group in groupby(verdicts, lambda one: one.claim):
+        each = list(group)
+        decided = [one for one in each if one.verdict in _GRAVITY]
+        counted = [one for one in decided if one.same] or decided or each
+        worst = min(counted, key=lambda one: _GRAVITY.index(one.verdict)) if decided else counted[0]
+        found.append(Outcome(worst, sum(one.verdict == worst.verdict for one in counted), len(counted)))
+    return found
 
 
 def _open(claim: dict[str, Any]) -> Verdict:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import csv
+from collections import Counter
 from collections.abc import Sequence
+from io import StringIO
 
 from econgs_bench.reports.sections.paper.claims import (
     AMONG,
@@ -11,8 +14,10 @@ from econgs_bench.reports.sections.paper.claims import (
     SKIPPED,
     UNKNOWN,
     VERDICTS,
+    Outcome,
     Verdict,
     check,
+    outcomes,
 )
 from econgs_bench.reports.sections.paper.documents import to_html as table_html
 from econgs_bench.reports.sections.paper.evidence import of_report
@@ -33,6 +38,11 @@ _NOTE = (
     "rates are of ratios over scenes and seeds. Each claim is checked by itself, while leads of this page "
     "are corrected together: a claim may hold where no lead is significant."
 )
+
+COLUMNS = (
+    "claim", "text", "where", "paper's data", "measured", "low", "high", "claimed", "verdict", "why",
+)  # fmt: skip
+"""Of the file of all checks; low and high bound the 95 % interval."""
 
 
 def section(page: Page) -> Section | None:
@@ -68,19 +78,41 @@ def to_html(verdicts: Sequence[Verdict]) -> str:
 
 
 def to_text(verdicts: Sequence[Verdict]) -> str:
-    """Text for a terminal: a line per verdict, then the counts."""
+    """Text for a terminal: a line per claim, then the counts."""
     wide = max(map(len, VERDICTS))
+    found = outcomes(verdicts)
     lines = []
+    for one, alike, checks in found:
+        line = f"{one.verdict:<{wide}} {one.claim:<22} {one.text}"
+        if one.measured is not None:
+            remarks = ["" if one.same else "other data than the paper's", one.why]
+            remarks += [f"so on {alike} of {checks}"] if checks > 1 else []
+            where = ", ".join(filter(None, [one.where, *remarks]))
+            line += f" [{_measured(one)}, claimed {one.bounds}; {where}]"
+        elif one.why:
+            line += f" [{'; '.join(filter(None, [one.where, one.why]))}]"
+        lines.append(line)
+    return "\n".join([*lines, "", counted(found)]) + "\n"
+
+
+def counted(found: Sequence[Outcome]) -> str:
+    """How many claims have each verdict."""
+    counts = Counter(one.verdict.verdict for one in found)
+    return "; ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS)
+
+
+def to_csv(verdicts: Sequence[Verdict]) -> str:
+    """A row per claim and dataset."""
+    rows = []
     for one in verdicts:
-        remark = f" [{one.why}]" if one.why else ""
-        if one.where:
-            where = one.where if one.same else f"{one.where}, other data than the paper's"
-            where += f", {one.why}" if one.why else ""
-            measured = f": {_measured(one)}, claimed {one.bounds}" if one.measured is not None else ""
-            remark = f" [{where}{measured}]"
-        lines.append(f"{one.verdict:<{wide}} {one.claim:<22} {one.text}{remark}")
-    counts = [f"{sum(one.verdict == verdict for one in verdicts)} {verdict}" for verdict in VERDICTS]
-    return "\n".join([*lines, "", "; ".join(counts)]) + "\n"
+        limits = (one.interval.low, one.interval.high) if one.interval else (None, None)
+        numbers = ["" if number is None else f"{number:.6g}" for number in (one.measured, *limits)]
+        own = "" if not one.where else "yes" if one.same else "no"
+        rows.append((one.claim, one.text, one.where, own, *numbers, one.bounds, one.verdict, one.why))
+    text = StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerows([COLUMNS, *rows])
+    return text.getvalue()
 
 
 def _measured(one: Verdict) -> str:

@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
+import csv
 from html import escape
+from io import StringIO
 
 import numpy as np
 import pytest
 
 from econgs_bench.reports.schema import frame
 from econgs_bench.reports.sections.paper.claims import (
+    AMONG,
     EXCEEDS,
     FAILS,
     HOLDS,
     NOT_DECIDED,
     SKIPPED,
     UNKNOWN,
+    Verdict,
     check,
     claims,
+    outcomes,
 )
 from econgs_bench.reports.sections.paper.evidence import LAYOUTS, evidence, of_report
 from econgs_bench.reports.sections.paper.layouts import layouts, reference_rows
 from econgs_bench.reports.sections.paper.values import QUANTITIES, Block, PaperRow, PaperTable, Value
-from econgs_bench.reports.sections.paper.verdicts import to_html, to_text
+from econgs_bench.reports.sections.paper.verdicts import to_csv, to_html, to_text
 from econgs_bench.reports.statistics import Views
 from tests.reports.sections.paper.test_paper_tables import (
     SCENES,
@@ -172,6 +177,11 @@ def test_a_claim_is_held_against_what_was_measured():
     (line,) = (line for line in text.splitlines() if "vortex-3dgs-psnr" in line)
     assert line.startswith(HOLDS)
     assert line.count("2.76") == 3, "in the claim, measured, and its bound"
+    rows = list(csv.DictReader(StringIO(to_csv(list(verdicts.values())))))
+    assert [row["claim"] for row in rows] == list(verdicts)
+    (row,) = (row for row in rows if row["claim"] == "vortex-3dgs-psnr")
+    assert (row["paper's data"], row["claimed"], row["verdict"]) == ("yes", "2.76 dB", HOLDS)
+    assert float(row["measured"]) == pytest.approx(2.76)
     assert f"{sum(one.verdict == SKIPPED for one in verdicts.values())} {SKIPPED}" in text.splitlines()[-1]
     page = to_html(list(verdicts.values()))
     for verdict in verdicts.values():
@@ -179,6 +189,22 @@ def test_a_claim_is_held_against_what_was_measured():
             assert verdict.why in text
             assert escape(verdict.why) in page
     assert to_html([]) == ""
+
+
+def test_the_papers_own_data_decide_a_claim_and_of_several_the_worst():
+    def said(where, verdict, same=False):
+        return Verdict("a", "t", where, same, None if verdict == UNKNOWN else 1.0, "", verdict)
+
+    def outcome(*verdicts):
+        (found,) = outcomes(verdicts)
+        return found.verdict.where, found.alike, found.checks
+
+    other = [said("x", HOLDS), said("y", FAILS), said("z", HOLDS), said("u", UNKNOWN)]
+    assert outcome(*other) == ("y", 1, 3)
+    assert outcome(*other, said("own", HOLDS, same=True)) == ("own", 1, 1)
+    assert outcome(*other, said("own", UNKNOWN, same=True)) == ("y", 1, 3)
+    assert outcome(said("x", AMONG), said("y", HOLDS)) == ("x", 1, 2)
+    assert outcome(said("x", UNKNOWN), said("y", UNKNOWN)) == ("x", 2, 2)
 
 
 @pytest.mark.parametrize(
