@@ -179,6 +179,18 @@ def test_doses(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
         read_volume(path)
 
 
+@pytest.mark.parametrize("syntax", [dicom.EXPLICIT, dicom.IMPLICIT, dicom.DEFLATED])
+def test_indices_into_a_table_are_refused(tmp_path: Path, syntax: str) -> None:
+    table = {0x00283000: [{0x00283002: 4, 0x00283006: b"\0\0\1\0\4\0\11\0"}]}
+    folder(tmp_path / "s", lambda k: table if k == 2 else {}, syntax=syntax)
+    with pytest.raises(DataError, match=r"7\.dcm holds indices into a table .*apply_modality_lut"):
+        read_volume(tmp_path / "s")
+    tag = np.frombuffer(b"\x28\0\0\x30" * 2, np.uint16)
+    stack = np.broadcast_to(tag, (*V.shape[:2], 4)).copy()
+    same = folder(tmp_path / "pixels", lambda k: {}, stack, syntax=syntax)  # which is no element there
+    np.testing.assert_array_equal(read_volume(same).values, stack)
+
+
 def test_deflated_files(tmp_path: Path) -> None:
     path = tmp_path / "d.dcm"
     dicom.write(path, V, 0, {0x00180088: 2}, syntax=dicom.DEFLATED)

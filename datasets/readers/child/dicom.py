@@ -259,10 +259,14 @@ def _opened(path: str) -> _File:
     inverse = reader.HasMetaDataKey(key) and reader.GetMetaData(key).strip(" \0") == "MONOCHROME1"
     nested, patches = elements.Elements(), []
     try:
-        if inverse or reader.HasMetaDataKey("0028|0008"):  # the number of frames
-            with Path(path).open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        with Path(path).open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            number = "0028|0008"  # of frames
+            if inverse or reader.HasMetaDataKey(number) or elements.names_table(data):
                 nested = elements.read(data)
                 patches = _patches(data, nested, inverse)
+        if nested.table:
+            reason = f"its file {Path(path).name} holds indices into a table (Modality LUT)"
+            raise DataError(path, reason, "Write what the table gives (pydicom's apply_modality_lut) as .nrrd")
         if n > 1:
             top.pop(elements.POSITION, None)  # of the first frame
         if n > (length := Path(path).stat().st_size) and not nested.deflated:

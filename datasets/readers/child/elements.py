@@ -17,6 +17,8 @@ SPACING, BETWEEN, THICKNESS = 0x00280030, 0x00180088, 0x00180050
 INTERCEPT, SLOPE = 0x00281052, 0x00281053
 TIME, SEGMENT = 0x00209128, 0x0062000B
 PHOTOMETRIC = 0x00280004
+TABLE = 0x00283000
+"""The Modality LUT: a table from stored values to those that are meant, in place of a rescale."""
 
 _SHARED, _EACH = 0x52009229, 0x52009230
 _MACROS = frozenset({0x00209113, 0x00209116, 0x00209111, 0x00289110, 0x00289145, 0x0062000A})
@@ -50,12 +52,14 @@ class Elements:
         frames: values by tag of each frame, those of all included; empty where a file has none of its frames.
         places: tag, first byte and length of the elements that change values of pixels.
         deflated: these bytes are of the inflated data.
+        table: whether the values are indices into a Modality LUT.
     """
 
     shared: Values = field(default_factory=dict)
     frames: list[Values] = field(default_factory=list)
     places: list[tuple[int, int, int]] = field(default_factory=list)
     deflated: bool = False
+    table: bool = False
 
 
 def numbers(text: str) -> tuple[float, ...]:
@@ -83,6 +87,12 @@ def inflated(data: Bytes) -> bytes | None:
     if not stream.eof:
         raise Malformed("its compressed data have no end")
     return values
+
+
+def names_table(data: Bytes) -> bool:
+    """Whether a file may have a Modality LUT: its tag is among the bytes."""
+    tag = _TAG.pack(TABLE >> 16, TABLE & 0xFFFF)
+    return (inflated(data) or data).find(tag) >= 0
 
 
 def read(data: Bytes) -> Elements:
@@ -125,6 +135,7 @@ class _Walk:
         self._data, self._explicit = data, explicit
         self._groups: dict[int, list[Values]] = {}
         self._places: list[tuple[int, int, int]] = []
+        self._table = False
 
     def elements(self, at: int) -> Elements:
         """Those of the whole file, from its first byte."""
@@ -133,7 +144,7 @@ class _Walk:
         if len(shared) > 1:
             raise Malformed("its shared functional groups are several items")
         frames = [shared[0] | each for each in self._groups.get(_EACH, [])]
-        return Elements(shared[0], frames, self._places)
+        return Elements(shared[0], frames, self._places, table=self._table)
 
     def head(self, at: int) -> tuple[int, bytes, int, int]:
         """Tag, type, first byte of the value, and its length."""
@@ -160,6 +171,7 @@ class _Walk:
                 return start
             if length != _OPEN and start + length > end:
                 raise Malformed("an element ends beyond its end")
+            self._table |= depth == 0 and tag == TABLE and length > 0
             within = values is not None and tag in (_MACROS if depth else (_SHARED, _EACH))
             if within or length == _OPEN:
                 before = self._explicit
