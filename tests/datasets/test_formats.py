@@ -103,6 +103,18 @@ def test_metaimage_shorter_than_its_header_says(forks: None, tmp_path: Path) -> 
         read_volume(path)
 
 
+def test_a_scale_that_itk_does_not_apply_is_told(
+    forks: None, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = samples.write(tmp_path, "v.mha")
+    whole = path.read_bytes()
+    for slope, told in ((b"1", False), (b"2", True)):
+        line = b"ElementToIntensityFunctionSlope = " + slope + b"\nElementDataFile"
+        path.write_bytes(whole.replace(b"ElementDataFile", line))
+        np.testing.assert_array_equal(read_volume(path).values, samples.FIELD)
+        assert ("ElementToIntensityFunction (Slope 2) is not applied" in caplog.text) == told
+
+
 def test_dataset_of_a_folder(forks: None, tmp_path: Path) -> None:
     path = samples.write(tmp_path, "dicom")
     dataset = open_dataset(path)

@@ -266,7 +266,9 @@ def _opened(path: str) -> _File:
                 patches = _patches(data, nested, inverse)
         if nested.table:
             reason = f"its file {Path(path).name} holds indices into a table (Modality LUT)"
-            raise DataError(path, reason, "Write what the table gives (pydicom's apply_modality_lut) as .nrrd")
+            raise DataError(
+                path, reason, "Write what the table gives (pydicom's apply_modality_lut) as .nrrd"
+            )
         if n > 1:
             top.pop(elements.POSITION, None)  # of the first frame
         if n > (length := Path(path).stat().st_size) and not nested.deflated:

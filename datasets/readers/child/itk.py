@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -54,18 +55,30 @@ class Images:
             values = values[0]
         if values.ndim - (image.GetNumberOfComponentsPerPixel() > 1) == 4:
             values = values[step]
+        head = _head(self._path)
+        about: dict[str, Any] = {"of_cells": False} | _scale(head)
         # Distances of one may be what ITK takes without any.
-        if set(image.GetSpacing()) == {1.0} and b"ElementS" not in _head(self._path):
-            return {"of_cells": False}, {"values": values}
+        if set(image.GetSpacing()) == {1.0} and b"ElementS" not in head:
+            return about, {"values": values}
         axes = zip("xyz", image.GetSpacing(), image.GetSize(), strict=False)
         positions = {name: spacing * np.arange(n, dtype=np.float64) for name, spacing, n in axes}
-        return {"of_cells": False}, {"values": values, **positions}
+        return about, {"values": values, **positions}
 
 
 def _head(path: Path) -> bytes:
-    """The header as far as distances stand in it: ElementSpacing or ElementSize."""
+    """The header as far as distances and the scale of the values stand in it."""
     with path.open("rb") as file:
         return file.read(4096).partition(b"ElementDataFile")[0]
+
+
+def _scale(head: bytes) -> dict[str, str]:
+    """A notice where the header has a scale: ITK and VTK give values as stored."""
+    pattern = rb"^ElementToIntensityFunction(Slope|Offset)[ \t]*=[ \t]*(\S+)"
+    given = dict(re.findall(pattern, head, re.MULTILINE))
+    if float(given.get(b"Slope", 1)) == 1.0 and float(given.get(b"Offset", 0)) == 0.0:
+        return {}
+    text = ", ".join(f"{name.decode()} {value.decode()}" for name, value in sorted(given.items()))
+    return {"notice": f"values are as stored: ElementToIntensityFunction ({text}) is not applied, as in ITK"}
 
 
 _BYTES = {
