@@ -40,7 +40,6 @@ import re
 import sys
 import tempfile
 import tomllib
-from collections import Counter
 from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
@@ -64,12 +63,11 @@ from econgs_bench.reports.sections.ladders import conclusion as ladders
 from econgs_bench.reports.sections.ladders import table as ladder_table
 from econgs_bench.reports.sections.ladders.table import climbed
 from econgs_bench.reports.sections.order import chart_sections
-from econgs_bench.reports.sections.paper import evidence
-from econgs_bench.reports.sections.paper.claims import VERDICTS, Verdict, check, outcomes
+from econgs_bench.reports.sections.paper.claims import VERDICTS, Verdict, tally
 from econgs_bench.reports.sections.paper.documents import to_markdown
 from econgs_bench.reports.sections.paper.tables import paper_tables
 from econgs_bench.reports.sections.paper.values import PaperTable
-from econgs_bench.reports.sections.paper.verdicts import to_csv
+from econgs_bench.reports.sections.paper.verdicts import checked, to_csv
 from econgs_bench.reports.sections.races import section as races
 from econgs_bench.reports.sections.rates import section as rates
 from econgs_bench.reports.sections.section import Page, Section
@@ -391,15 +389,13 @@ def _papers(bundles: tuple[str, ...]) -> dict[str, PaperTable]:
 
 def claims(block: dict[str, Any]) -> str:
     """The number of claims with each verdict; :func:`generated` adds the file of all checks."""
-    counts = Counter(one.verdict.verdict for one in outcomes(_checked(tuple(block["bundles"]))))
+    counts = tally(_checked(tuple(block["bundles"])))
     return markdown(["verdict", "claims"], [[name, str(counts[name])] for name in VERDICTS if counts[name]])
 
 
 @cache
 def _checked(bundles: tuple[str, ...]) -> list[Verdict]:
-    parts = dict(tables(bundles))
-    papers = [*_papers(bundles).values(), *evidence.of_report(Report(parts))]
-    return check(papers, Views(parts.get("views")))
+    return checked(_papers(bundles).values(), Report(dict(tables(bundles))))
 
 
 def from_csv(block: dict[str, Any]) -> str:

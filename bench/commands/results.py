@@ -88,8 +88,7 @@ def report(options: Namespace) -> int:
     """Print those of the paper's tables that a store has rows of, and write its HTML report."""
     from econgs_bench.reports.page.document import write_report
     from econgs_bench.reports.report import Report
-    from econgs_bench.reports.sections.paper import claims, documents, verdicts
-    from econgs_bench.reports.sections.paper.evidence import of_report
+    from econgs_bench.reports.sections.paper import documents, verdicts
     from econgs_bench.reports.sections.paper.tables import lacking, paper_tables
 
     store = Store(Path(options.runs))
@@ -100,7 +99,7 @@ def report(options: Namespace) -> int:
     contents = Report(tables)
     paper = paper_tables(tables, contents.views)
     if options.check_claims:
-        checked = claims.check([*paper, *of_report(contents)], contents.views)
+        checked = verdicts.checked(paper, contents)
         print_prose(verdicts.to_text(checked))
         write_text(page.parent / "claims.csv", verdicts.to_csv(checked))
     for table in paper:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -111,6 +112,11 @@ def outcomes(verdicts: Sequence[Verdict]) -> list[Outcome]:
         worst = min(counted, key=lambda one: _GRAVITY.index(one.verdict)) if decided else counted[0]
         found.append(Outcome(worst, sum(one.verdict == worst.verdict for one in counted), len(counted)))
     return found
+
+
+def tally(verdicts: Sequence[Verdict]) -> Counter[str]:
+    """Verdict -> number of claims with it."""
+    return Counter(one.verdict.verdict for one in outcomes(verdicts))
 
 
 def _open(claim: dict[str, Any]) -> Verdict:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-from collections import Counter
-from collections.abc import Sequence
-from io import StringIO
+from collections.abc import Iterable, Sequence
 
+from econgs_bench.reports.report import Report
 from econgs_bench.reports.sections.paper.claims import (
     AMONG,
     EXCEEDS,
@@ -14,15 +12,17 @@ from econgs_bench.reports.sections.paper.claims import (
     SKIPPED,
     UNKNOWN,
     VERDICTS,
-    Outcome,
     Verdict,
     check,
     outcomes,
+    tally,
 )
 from econgs_bench.reports.sections.paper.documents import to_html as table_html
 from econgs_bench.reports.sections.paper.evidence import of_report
+from econgs_bench.reports.sections.paper.values import PaperTable
 from econgs_bench.reports.sections.section import Page, Section
 from econgs_bench.reports.style import MISSING, ends
+from econgs_bench.reports.tables.documents import to_csv as table_to_csv
 from econgs_bench.reports.tables.table import Cell, Table
 from econgs_bench.reports.tables.table import to_html as table_to_html
 
@@ -39,20 +39,18 @@ _NOTE = (
     "are corrected together: a claim may hold where no lead is significant."
 )
 
-COLUMNS = (
-    "claim", "text", "where", "paper's data", "measured", "low", "high", "claimed", "verdict", "why",
-)  # fmt: skip
-"""Of the file of all checks; low and high bound the 95 % interval."""
-
 
 def section(page: Page) -> Section | None:
     """The paper's tables, and the claims that they and other evidence decide; None without tables."""
     if page.folder is None or not page.paper:
         return None
-    report = page.report
-    checked = check([*page.paper, *of_report(report)], report.views)
-    html = "\n".join([*map(table_html, page.paper), to_html(checked)])
+    html = "\n".join([*map(table_html, page.paper), to_html(checked(page.paper, page.report))])
     return Section("paper", "The paper's tables", words=_WORDS, html=html)
+
+
+def checked(paper: Iterable[PaperTable], report: Report) -> list[Verdict]:
+    """The verdicts on all claims, by the paper's tables and the other evidence of a report."""
+    return check([*paper, *of_report(report)], report.views)
 
 
 def to_html(verdicts: Sequence[Verdict]) -> str:
@@ -80,9 +78,8 @@ def to_html(verdicts: Sequence[Verdict]) -> str:
 def to_text(verdicts: Sequence[Verdict]) -> str:
     """Text for a terminal: a line per claim, then the counts."""
     wide = max(map(len, VERDICTS))
-    found = outcomes(verdicts)
     lines = []
-    for one, alike, checks in found:
+    for one, alike, checks in outcomes(verdicts):
         line = f"{one.verdict:<{wide}} {one.claim:<22} {one.text}"
         if one.measured is not None:
             remarks = ["" if one.same else "other data than the paper's", one.why]
@@ -92,27 +89,30 @@ def to_text(verdicts: Sequence[Verdict]) -> str:
         elif one.why:
             line += f" [{'; '.join(filter(None, [one.where, one.why]))}]"
         lines.append(line)
-    return "\n".join([*lines, "", counted(found)]) + "\n"
-
-
-def counted(found: Sequence[Outcome]) -> str:
-    """How many claims have each verdict."""
-    counts = Counter(one.verdict.verdict for one in found)
-    return "; ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS)
+    counts = tally(verdicts)
+    return "\n".join([*lines, "", "; ".join(f"{counts[name]} {name}" for name in VERDICTS)]) + "\n"
 
 
 def to_csv(verdicts: Sequence[Verdict]) -> str:
-    """A row per claim and dataset."""
-    rows = []
-    for one in verdicts:
-        limits = (one.interval.low, one.interval.high) if one.interval else (None, None)
-        numbers = ["" if number is None else f"{number:.6g}" for number in (one.measured, *limits)]
-        own = "" if not one.where else "yes" if one.same else "no"
-        rows.append((one.claim, one.text, one.where, own, *numbers, one.bounds, one.verdict, one.why))
-    text = StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerows([COLUMNS, *rows])
-    return text.getvalue()
+    """A row per claim and dataset; `low` and `high` bound the 95 % interval."""
+    import pandas as pd
+
+    table = pd.DataFrame([
+        {
+            "claim": one.claim, "text": one.text, "where": one.where,
+            "paper's data": "" if not one.where else "yes" if one.same else "no",
+            "measured": _rounded(one.measured), "low": _rounded(one.interval and one.interval.low),
+            "high": _rounded(one.interval and one.interval.high), "claimed": one.bounds,
+            "verdict": one.verdict, "why": one.why,
+        }
+        for one in verdicts
+    ])  # fmt: skip
+    return table_to_csv(table.astype(dict.fromkeys(("measured", "low", "high"), float)))
+
+
+def _rounded(number: float | None) -> float | None:
+    """Six digits: the last ones depend on the processor."""
+    return None if number is None else float(f"{number:.6g}")
 
 
 def _measured(one: Verdict) -> str:

@@ -203,6 +203,7 @@ def test_the_papers_own_data_decide_a_claim_and_of_several_the_worst():
     assert outcome(*other) == ("y", 1, 3)
     assert outcome(*other, said("own", HOLDS, same=True)) == ("own", 1, 1)
     assert outcome(*other, said("own", UNKNOWN, same=True)) == ("y", 1, 3)
+    assert "'=x()" in to_csv([said("=x()", HOLDS)]), "no spreadsheet takes a name for a formula"
     assert outcome(said("x", AMONG), said("y", HOLDS)) == ("x", 1, 2)
     assert outcome(said("x", UNKNOWN), said("y", UNKNOWN)) == ("x", 2, 2)
 
