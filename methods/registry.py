@@ -12,7 +12,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import UnionType
@@ -196,6 +196,12 @@ def _fits(value: Any, kind: Any) -> bool:
     return isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
 
 
+@cache
+def _fields() -> tuple[tuple[str, Any], ...]:
+    """The fields of a spec and their types."""
+    return tuple(get_type_hints(MethodSpec).items())
+
+
 def check_spec(spec: Any, origin: str) -> None:
     """Refuse a spec that contradicts itself.
 
@@ -207,7 +213,7 @@ def check_spec(spec: Any, origin: str) -> None:
         raise wrong(
             f"SPEC is a {type(spec).__name__}", "Make it an econgs_bench.methods.interface.MethodSpec"
         )
-    for field, kind in get_type_hints(MethodSpec).items():
+    for field, kind in _fields():
         value = getattr(spec, field)
         if not _fits(value, kind) or (field == "devices" and not value):
             words = kind.__name__ if isinstance(kind, type) else re.sub(r"[\w.]+\.", "", str(kind))

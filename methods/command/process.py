@@ -42,7 +42,7 @@ class Usage:
 
     Attributes:
         seconds: from its start to its end.
-        host_bytes: peak of its processes together; None where unknown.
+        host_bytes: peak of its processes together; None where it ended before anyone looked.
         device_bytes: the same on GPUs, by ``nvidia-smi`` every two seconds; None where unknown.
     """
 
@@ -222,7 +222,8 @@ class _Watch:
             found = [leader, *leader.children(recursive=True)]
             held = sum(one.memory_info().rss for one in found)
             peaks = [peak_host_bytes(one.pid) or 0 for one in found]  # of a moment between two looks
-            self.host_bytes = max(self.host_bytes or 0, held, *peaks)
+            if (most := max(held, *peaks)) > 0:  # one that has ended holds nothing, and nobody saw more
+                self.host_bytes = max(self.host_bytes or 0, most)
             if self._smi is not None and now - self._device >= _DEVICE_LOOK:
                 self._device = now
                 self._look_at_device({one.pid for one in found})

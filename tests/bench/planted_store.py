@@ -25,12 +25,12 @@ from econgs_bench.bench.store.records import (
 )
 from econgs_bench.bench.store.store import Store
 from econgs_bench.datasets.hashes import hash_of
-from econgs_bench.methods.interface import MethodSpec
 from econgs_bench.methods.options import resolve
 from econgs_bench.methods.registry import Registry
 
 SCENES = ("TF01", "TF02", "TF03", "TF04")
 METHODS = ("3dgs", "ivr-gs")
+SPECS = Registry().specs
 RATES = (None, 1.0, 2.0, 3.0)
 SEEDS = (0, 1, 2)
 VIEWS = 6
@@ -96,7 +96,7 @@ def write(folder: Path, plant: Plant = lambda facts: facts) -> Store:
 
 
 def _of(facts: Facts) -> Iterator[Record]:
-    spec: MethodSpec = Registry().specs[facts.method]
+    spec = SPECS[facts.method]
     settings = resolve(spec, "quick", {} if facts.length is None else {"iterations": facts.length})
     request = Request(
         train_views=42, test_views=facts.test_views, width=facts.size, height=facts.size,

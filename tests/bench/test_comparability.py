@@ -267,10 +267,15 @@ def test_two_stores_are_compared_only_where_they_may_be(planted, clean, capsys) 
         assert err.strip(), "the reason"
 
 
-def test_the_gate_gives_the_reason(planted, clean, tmp_path, capsys) -> None:
+@pytest.fixture(scope="module")
+def baseline(clean, tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("baseline") / "baseline.json"
+    assert main(["baseline", str(clean.root), "--out", str(path), "--reason", "first"]) == 0
+    return path
+
+
+def test_the_gate_gives_the_reason(planted, baseline, capsys) -> None:
     case, store, _ = planted
-    baseline = tmp_path / "baseline.json"
-    assert main(["baseline", str(clean.root), "--out", str(baseline), "--reason", "first"]) == 0
     capsys.readouterr()
     code = main(["gate", str(store.root), "--baseline", str(baseline)])
     out = capsys.readouterr().out
