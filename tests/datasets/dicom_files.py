@@ -125,10 +125,17 @@ def frame(z: float, slope: float | None = None, time: int | None = None, segment
     return groups
 
 
-def enhanced(path: Path, values: NDArray[Any], frames: list[Any], shared: Any = None, **options: Any) -> None:
+def enhanced(
+    path: Path,
+    values: NDArray[Any],
+    frames: list[Any],
+    shared: Any = None,
+    counted: int | None = None,
+    **options: Any,
+) -> None:
     """An enhanced multi-frame file (PS3.3 C.7.6.16)."""
     groups = {0x00209116: [{0x00200037: UPRIGHT}], 0x00289110: [{0x00280030: (1, 0.5), 0x00180050: 7}]}
-    own = {0x00280030: None, 0x52009229: [groups | (shared or {})], 0x52009230: frames}
+    own = {0x00280009: counted, 0x00280030: None, 0x52009229: [groups | (shared or {})], 0x52009230: frames}
     write(path, values, elements=own, model=ENHANCED, **options)
 
 

@@ -135,6 +135,20 @@ def test_frames_that_are_no_volume(tmp_path: Path, frames: list[Any], reason: st
     assert error.value.remedy
 
 
+@pytest.mark.parametrize("syntax", [dicom.EXPLICIT, dicom.IMPLICIT, dicom.DEFLATED])
+def test_the_frames_of_a_film_are_refused(tmp_path: Path, syntax: str) -> None:
+    path = tmp_path / "f.dcm"
+    for tag, what in ((0x00181063, "time"), (0x00540020, "detector")):
+        dicom.write(path, V, elements={0x00280009: tag}, model=dicom.CAPTURE, syntax=syntax)
+        with pytest.raises(DataError, match=f"f.dcm are no slices: they differ in {what}"):
+            read_volume(path)
+    dicom.write(path, V, elements={0x00280009: 0x00540080, 0x00180088: 2}, syntax=syntax)  # slices
+    check(path, V, np.uint16)
+    frames = [dicom.frame(2.0 * k) for k in range(4)]
+    dicom.enhanced(path, V, frames, syntax=syntax, counted=0x00181063)  # each says its place
+    check(path, V, np.uint16)
+
+
 def test_distances_without_positions(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     bare = {0x00200032: None, 0x00200037: None}
     for name, own, z in (

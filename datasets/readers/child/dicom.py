@@ -34,6 +34,12 @@ _TAGS = (
     elements.POSITION, elements.ORIENTATION, elements.SPACING, elements.BETWEEN, elements.THICKNESS,
     elements.SLOPE, elements.INTERCEPT, _OFFSETS, _DOSE, _IMAGER, _SCANNED, _BITS, _SIGNED,
 )  # fmt: skip
+_NO_SLICES = {
+    0x00181063: "time", 0x00181065: "time", 0x00540010: "energy window", 0x00540020: "detector",
+    0x00540050: "rotation", 0x00540060: "heartbeat", 0x00540070: "time", 0x00540090: "angle",
+    0x00540100: "time",
+}  # fmt: skip
+"""What the frames of a file may be counted by that is no place (PS3.3 C.7.6.5, C.8.4.8)."""
 _PIXELS, _END = b"\xe0\x7f\x10\x00", b"\xfe\xff\xdd\xe0"
 """Tags of pixel data and of the end of a sequence."""
 _UNEVEN = 0.01
@@ -274,6 +280,10 @@ def _opened(path: str) -> _File:
         if n > (length := Path(path).stat().st_size) and not nested.deflated:
             raise elements.Malformed(f"it says {n} frames in {length} bytes")
         frames = [top | frame for frame in nested.frames] or [top | nested.shared] * n
+        counted = [_NO_SLICES[tag] for tag in nested.counted if tag in _NO_SLICES]
+        if n > 1 and counted and not all(elements.POSITION in frame for frame in frames):
+            reason = f"the frames of {Path(path).name} are no slices: they differ in {counted[0]}"
+            raise DataError(path, reason, "Write those that are a volume as .nrrd (3D Slicer)")
         if len(frames) != n:
             raise elements.Malformed(f"it says of {len(frames)} frames where it has {n}")
         rescale = _rescale(frames, top, bool(nested.frames or nested.shared))

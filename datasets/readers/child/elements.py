@@ -16,7 +16,7 @@ ORIENTATION, POSITION = 0x00200037, 0x00200032
 SPACING, BETWEEN, THICKNESS = 0x00280030, 0x00180088, 0x00180050
 INTERCEPT, SLOPE = 0x00281052, 0x00281053
 TIME, SEGMENT = 0x00209128, 0x0062000B
-PHOTOMETRIC = 0x00280004
+PHOTOMETRIC, COUNTED = 0x00280004, 0x00280009
 TABLE = 0x00283000
 """The Modality LUT: a table from stored values to those that are meant, in place of a rescale."""
 
@@ -25,7 +25,7 @@ _MACROS = frozenset({0x00209113, 0x00209116, 0x00209111, 0x00289110, 0x00289145,
 """Sequences of functional groups: position, orientation, content of a frame, measures, values, segments."""
 _DECIMAL = frozenset({ORIENTATION, POSITION, SPACING, BETWEEN, THICKNESS, INTERCEPT, SLOPE})
 _WHOLE = frozenset({TIME, SEGMENT})
-_KEPT = _DECIMAL | _WHOLE | {PHOTOMETRIC}
+_KEPT = _DECIMAL | _WHOLE | {PHOTOMETRIC, COUNTED}
 _PIXELS = 0x7FE00008
 _ITEM, _ITEM_END, _SEQUENCE_END = 0xFFFEE000, 0xFFFEE00D, 0xFFFEE0DD
 _LONG = frozenset((b"OB", b"OD", b"OF", b"OL", b"OV", b"OW", b"SQ", b"SV", b"UC", b"UN", b"UR", b"UT", b"UV"))
@@ -50,6 +50,7 @@ class Elements:
     Attributes:
         shared: values by tag of all frames of a file with functional groups.
         frames: values by tag of each frame, those of all included; empty where a file has none of its frames.
+        counted: tags of what tells frames apart (Frame Increment Pointer).
         places: tag, first byte and length of the elements that change values of pixels.
         deflated: these bytes are of the inflated data.
         table: whether the values are indices into a Modality LUT.
@@ -57,6 +58,7 @@ class Elements:
 
     shared: Values = field(default_factory=dict)
     frames: list[Values] = field(default_factory=list)
+    counted: tuple[int, ...] = ()
     places: list[tuple[int, int, int]] = field(default_factory=list)
     deflated: bool = False
     table: bool = False
@@ -139,12 +141,14 @@ class _Walk:
 
     def elements(self, at: int) -> Elements:
         """Those of the whole file, from its first byte."""
-        self._set(at, len(self._data), 0, {})
+        values: Values = {}
+        self._set(at, len(self._data), 0, values)
         shared = self._groups.get(_SHARED) or [{}]
         if len(shared) > 1:
             raise Malformed("its shared functional groups are several items")
         frames = [shared[0] | each for each in self._groups.get(_EACH, [])]
-        return Elements(shared[0], frames, self._places, table=self._table)
+        counted = tuple(int(tag) for tag in values.get(COUNTED, ()))
+        return Elements(shared[0], frames, counted, self._places, table=self._table)
 
     def head(self, at: int) -> tuple[int, bytes, int, int]:
         """Tag, type, first byte of the value, and its length."""
@@ -221,7 +225,10 @@ class _Walk:
         if tag in (PHOTOMETRIC, SLOPE, INTERCEPT):
             self._places.append((tag, start, length))
         value = bytes(self._data[start : start + min(length, 200)])
-        if tag in _WHOLE:
+        if tag == COUNTED:
+            pairs = struct.iter_unpack("<HH", value[: len(value) // 4 * 4])
+            values[tag] = tuple(float(group << 16 | element) for group, element in pairs)
+        elif tag in _WHOLE:
             values[tag] = (float(int.from_bytes(value[:4], "little")),)
         elif tag in _DECIMAL and (several := numbers(value.decode("latin-1"))):
             values[tag] = several
