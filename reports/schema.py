@@ -12,6 +12,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from econgs_bench.reports.style import MIB, mib, seconds
 
 if TYPE_CHECKING:
@@ -525,8 +527,13 @@ def frame(name: str, rows: Iterable[Mapping[str, Any]] = (), *, stored: bool = F
 
 
 def records(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """The rows of a table; much faster than `iterrows`."""
-    return table.to_dict("records")  # type: ignore[return-value]
+    """The rows of a table; on wide ones much faster than `iterrows` and `to_dict`."""
+    columns = (
+        column.tolist() if isinstance(column.dtype, np.dtype) else column.to_numpy(object, na_value=None)  # type: ignore[call-overload]
+        for _, column in table.items()
+    )
+    names = table.columns.tolist()
+    return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
 def joined(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:

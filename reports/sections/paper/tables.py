@@ -193,6 +193,12 @@ def _block(
 ) -> Iterator[Block]:
     """A block, if it has something to compare; its rows are judged by themselves."""
     columns = layout["columns"]
+    same = dataset in description.get("real", ())
+    alone = same or "scene" in layout["rows"][0] or len(layout["rows"]) == 1
+    least = 1 if alone else _LEAST_ROWS
+    there = set(zip(results["method"], results["variant"].fillna(""), strict=True))
+    if len({_model(line) for line in layout["rows"] if _model(line)[:2] in there}) < least:
+        return
     results, notes = _compared(layout, results, clocks)
     rows, seed_remarks = _rows(name, layout, results, published)
     measured = [
@@ -200,10 +206,7 @@ def _block(
         for line, row in zip(layout["rows"], rows, strict=True)
         if any(value.mean is not None for value in row.values.values())
     ]
-    same = dataset in description.get("real", ())
-    models = {(line["method"], line.get("variant"), line.get("train_views")) for line in measured}
-    alone = same or "scene" in layout["rows"][0] or len(layout["rows"]) == 1
-    if len(models) < (1 if alone else _LEAST_ROWS):
+    if len({_model(line) for line in measured}) < least:
         return
     several = len({line.get("train_views") for line in measured}) >= _LEAST_ROWS
     if _by_views(layout) and not description and not several:
@@ -230,13 +233,18 @@ def _block(
     yield Block(dataset, published, same, scenes, rows, places, remarks, ", ".join(protocol), count)
 
 
+def _model(line: Mapping[str, Any]) -> tuple[str, str, int | None]:
+    """Method, variant and number of training views of a layout's line."""
+    return line["method"], line.get("variant", ""), line.get("train_views")
+
+
 def _compared(
     layout: dict[str, Any], results: pd.DataFrame, clocks: Clocks
 ) -> tuple[pd.DataFrame, list[str]]:
     """Results with what is compared among the rows of a layout's lines, and remarks on what is not."""
     import pandas as pd
 
-    lines = {(line["method"], line.get("variant", "")) for line in layout["rows"]}
+    lines = {_model(line)[:2] for line in layout["rows"]}
     pairs = zip(results["method"], results["variant"].fillna(""), strict=True)
     own = pd.Series([pair in lines for pair in pairs], results.index, dtype=bool)
     rows = judged(results[own], clocks, ("dataset",))
