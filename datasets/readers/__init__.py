@@ -84,13 +84,12 @@ def folder_kind(path: Path) -> str:
     """
     from econgs_bench.datasets.posed_images import holds_views
 
-    files = sorted(path.iterdir())
-    names = {file.name for file in files}
+    names = {file.name for file in path.iterdir()}
     if holds_views(path):
         return ""
     if names & {".zgroup", ".zarray", ".zmetadata", "zarr.json"} or suffix_of(path) == ".zarr":
         return "zarr"
-    files = [file for file in files if file.is_file()]
+    files = content.visible(path)
     pictures = [file for file in files if file.suffix.lower() in (".tif", ".tiff", ".png")]
     others = [file for file in files if file not in pictures]
     if "DICOMDIR" in names or any(map(_is_dicom, others[:_LOOK])):

@@ -22,6 +22,16 @@ def suffix_of(path: Path, known: set[str]) -> str:
     return found
 
 
+def visible(folder: Path) -> list[Path]:
+    """The files of a folder by name, without those that systems add beside them.
+
+    macOS puts ``._a.png`` beside ``a.png`` where a disk or an archive has no place for its attributes.
+    """
+    files = (file for file in folder.iterdir() if file.is_file())
+    added = ("thumbs.db", "desktop.ini")
+    return sorted(f for f in files if not f.name.startswith(".") and f.name.lower() not in added)
+
+
 def suffix_by_content(path: Path) -> str:
     """The suffix that a file of this content should have; "" if its first bytes do not tell.
 

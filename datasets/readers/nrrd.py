@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -59,6 +60,9 @@ def open_nrrd(path: Path) -> Single:
         except MemoryError:
             raise
         except Exception as error:  # a damaged header fails in pynrrd's parser in many ways
+            file.seek(0)
+            if re.search(rb"(?im)^data ?file:=? *LIST", file.read(1 << 16)):
+                raise DataError(path, "its data lie in several files", _REMEDY) from error
             raise DataError(path, f"has no readable NRRD header ({error!r})", _REMEDY) from error
         start = file.tell()
     dims = tuple(n for i, n in enumerate(sizes) if i not in apart)

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers.child.parts import REFUSED
 from econgs_bench.datasets.readers.container import Array
 from econgs_bench.datasets.readers.fields import Choice, Field, Variable, scalar
 from econgs_bench.datasets.readers.notices import notice
@@ -124,17 +125,22 @@ class Sandbox:
             raise DataError(self.path, reason, self._remedy)
         read = pipe.readinto(view)  # type: ignore[attr-defined]
         if not read:
-            raise DataError(self.path, f"is damaged: {self._end_of_child()}", self._remedy)
+            raise self._end_of_child()
         return int(read)
 
-    def _end_of_child(self) -> str:
+    def _end_of_child(self) -> DataError:
         code = self._child.wait()
+        if code == REFUSED:
+            self._stderr.seek(0)
+            said = json.loads(self._stderr.read().splitlines()[-1])
+            return DataError(self.path, said["error"], said["remedy"])
         how = f"ended with code {code}"
         if code < 0:
             with suppress(ValueError):
                 how = f"crashed ({signal.Signals(-code).name})"
         complaint = self._complaint()
-        return f"the library that reads it {how}" + (f": {complaint}" if complaint else "")
+        reason = f"is damaged: the library that reads it {how}" + (f": {complaint}" if complaint else "")
+        return DataError(self.path, reason, self._remedy)
 
     def _complaint(self) -> str:
         """What the library wrote on stderr, shortened; "" for nothing."""

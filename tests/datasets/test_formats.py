@@ -74,6 +74,42 @@ def test_slices_that_are_missing(forks: None, tmp_path: Path) -> None:
             read_volume(path)
 
 
+@pytest.mark.parametrize("name", ["png", "tiff", "dicom"])
+def test_files_that_systems_add_to_a_folder(forks: None, tmp_path: Path, name: str) -> None:
+    path = samples.write(tmp_path, name)
+    for file in sorted(path.iterdir()):
+        (path / f"._{file.name}").write_bytes(b"\0\5\26\7\0\2\0\0Mac OS X")
+    for file in (".DS_Store", "Thumbs.db", "desktop.ini"):
+        (path / file).write_bytes(b"x")
+    expected = samples.FIELD.astype(np.uint8) if name in samples.BYTES else samples.FIELD
+    np.testing.assert_array_equal(read_volume(path).values, expected)
+
+
+def test_a_slice_that_differs_is_named(forks: None, tmp_path: Path) -> None:
+    for name, found, other in (("a", np.uint8, (5, 5)), ("b", np.uint16, (5, 6))):
+        (tmp_path / name).mkdir()
+        for k in range(4):
+            shape, kind = (other, found) if k == 2 else ((5, 6), np.uint8)
+            tifffile.imwrite(tmp_path / name / f"s{k}.tif", np.zeros(shape, kind))
+        with pytest.raises(DataError, match=r"its file s2.tif differs in size or type") as error:
+            read_volume(tmp_path / name)
+        assert error.value.remedy == "Copy it again"
+
+
+@pytest.mark.parametrize("last", [None, (2, 3)])
+def test_pages_that_were_written_one_by_one(
+    forks: None, tmp_path: Path, last: tuple[int, int] | None
+) -> None:
+    """tifffile calls each a series; a smaller last page is a preview."""
+    path = tmp_path / "v.tif"
+    with tifffile.TiffWriter(path) as file:
+        for page in samples.FIELD:
+            file.write(page, contiguous=False)
+        if last is not None:
+            file.write(np.zeros(last, samples.FIELD.dtype), contiguous=False)
+    np.testing.assert_array_equal(read_volume(path).values, samples.FIELD)
+
+
 def test_a_chunk_that_is_absent_has_the_fill_value(
     forks: None, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -6,12 +6,13 @@ import json
 import os
 import sys
 from importlib import import_module
+from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
 from econgs_bench.datasets.errors import DataError
-from econgs_bench.datasets.readers.child.parts import Slabs
+from econgs_bench.datasets.readers.child.parts import REFUSED, Slabs
 
 _SECONDS = 3600
 """Processor time: what hangs when its parent has gone ends too."""
@@ -32,9 +33,9 @@ def main() -> None:
                 _answer(answers, source.contents() | {"arrays": []})
             else:
                 about, parts = source.read(**request)
-                _send(answers, about, parts)
+                _send(answers, about, parts, path)
     except DataError as error:
-        _answer(answers, {"error": error.reason, "remedy": error.remedy})
+        _answer(answers, _said(error, path))
     except MemoryError:
         _answer(answers, {"error": f"needs more than {int(memory) >> 20} MiB of memory to be read"})
     except Exception as error:
@@ -60,7 +61,14 @@ def _answer(answers: BinaryIO, answer: dict[str, Any]) -> None:
     answers.flush()
 
 
-def _send(answers: BinaryIO, about: dict[str, Any], parts: dict[str, Any]) -> None:
+def _said(error: DataError, path: str) -> dict[str, str]:
+    """An error as an answer; a file of a folder is named."""
+    name = Path(error.what).name
+    inside = Path(error.what).parent == Path(path) and name not in error.reason
+    return {"error": f"its file {name} {error.reason}" if inside else error.reason, "remedy": error.remedy}
+
+
+def _send(answers: BinaryIO, about: dict[str, Any], parts: dict[str, Any], path: str) -> None:
     arrays = []
     for name, part in parts.items():
         arrays.append({"name": name, "shape": part.shape, "dtype": part.dtype.str})
@@ -72,6 +80,9 @@ def _send(answers: BinaryIO, about: dict[str, Any], parts: dict[str, Any]) -> No
             for values in part.pieces if isinstance(part, Slabs) else [part]:
                 answers.write(np.ascontiguousarray(values).reshape(-1).view(np.uint8).data)
         answers.flush()
+    except DataError as error:
+        print(json.dumps(_said(error, path)), file=sys.stderr, flush=True)
+        os._exit(REFUSED)
     except Exception as error:
         print(f"its values cannot be read ({type(error).__name__})", file=sys.stderr, flush=True)
         os._exit(3)  # without an error message among the values

@@ -24,7 +24,7 @@ from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.readers.child import elements
 from econgs_bench.datasets.readers.child.elements import Values
 from econgs_bench.datasets.readers.child.parts import Slabs
-from econgs_bench.datasets.readers.content import is_dicom
+from econgs_bench.datasets.readers.content import is_dicom, visible
 from econgs_bench.datasets.readers.fields import channels_of
 
 _OFFSETS, _DOSE = 0x3004000C, 0x3004000E
@@ -136,8 +136,8 @@ class Series:
     def _series(self) -> list[list[str]]:
         """Files of each series, in the order of their positions; a notice names what is no slice."""
         strange = []
-        for file in sorted(self._path.iterdir()):
-            if file.is_file() and file.name != "DICOMDIR":
+        for file in visible(self._path):
+            if file.name != "DICOMDIR":
                 with file.open("rb") as stream:
                     dicom = is_dicom(stream.read(132))
                 if dicom or (file.suffix.lower() == ".dcm" and file.stat().st_size):

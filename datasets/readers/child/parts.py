@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+REFUSED = 4
+"""Exit code of a child whose last line on stderr is an error, as JSON: too late for an answer."""
+
 
 @dataclass(frozen=True, eq=False)
 class Slabs:

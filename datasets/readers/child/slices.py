@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.readers.child.parts import Slabs
+from econgs_bench.datasets.readers.content import visible
 from econgs_bench.datasets.readers.fields import channels_of
 from econgs_bench.datasets.readers.finish import check_expansion, unpacked, unpacked_type
 from econgs_bench.datasets.readers.lengths import in_one_unit
@@ -38,6 +39,8 @@ class Stack:
 
         self._path = path
         self._file = tifffile.TiffFile(path)
+        if self._file.is_shaped and sum(n > 1 for n in self._file.series[0].shape) < 3:
+            self._file = tifffile.TiffFile(path, is_shaped=False)  # tifffile's, written page by page
         series = self._file.series[0]
         axes = [(letter, n) for letter, n in zip(series.axes, series.shape, strict=True) if n > 1]
         self._letters = "".join(letter for letter, _ in axes)
@@ -172,7 +175,7 @@ class Folder:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        pictures = [f for f in sorted(path.iterdir()) if f.suffix.lower() in PICTURES and f.is_file()]
+        pictures = [file for file in visible(path) if file.suffix.lower() in PICTURES]
         kinds = {f.suffix.lower()[:4] for f in pictures}
         if len(kinds) != 1:
             raise DataError(
