@@ -2,7 +2,8 @@
 
 The last three axes of an array are z, y, x; a leading one is time, or by its name channels. An axis of
 time or channels elsewhere, and one that follows x, y and z, counts as leading: by its name too.
-Arrays without named dimensions hold vectors if they have a fourth axis and the last axis has 2 to 4 entries.
+Arrays without named dimensions hold vectors if they have a fourth axis and the last axis has 2 to 4 entries;
+with one entry it counts for nothing.
 Positions come from coordinate variables (NetCDF's, HDF5's dimension scales, or arrays ``x``, ``y``, ``z`` of
 fitting length). Missing values become the volume's mask: NaN of NetCDF and HDF5 files, ``_FillValue``,
 ``missing_value``, NetCDF's default fill, values outside ``valid_range``. ``scale_factor`` and ``add_offset``
@@ -102,6 +103,8 @@ class Arrays:
     def _order(self, array: Array) -> tuple[int, ...]:
         """The axes with those of space last, as far as names tell."""
         axes = tuple(range(len(array.shape)))
+        if len(axes) > 3 and not any(array.dims) and array.shape[-1] == 1:
+            return (axes[-1], *axes[:-1])
         if len(axes) < 3 or not any(array.dims):
             return axes
         names = [_last(name) for name in array.dims]

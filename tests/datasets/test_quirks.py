@@ -245,6 +245,22 @@ COLORS: dict[str, Callable[[Path], None]] = {
 }
 
 
+@pytest.mark.parametrize("name", ["v.npy", "v.npz", "v.h5", "v.zarr"])
+def test_a_last_axis_of_one_counts_for_nothing(tmp_path: Path, name: str) -> None:
+    steps = np.stack([A, A[::-1]])[..., None]
+    path = tmp_path / name
+    if name == "v.npy":
+        np.save(path, steps)
+    elif name == "v.npz":
+        np.savez(path, v=steps)
+    elif name == "v.h5":
+        with h5py.File(path, "w") as file:
+            file.create_dataset("v", data=steps)
+    else:
+        zarr.open_group(str(path), mode="w").create_array("v", data=steps, chunks=(1, 2, 3, 3, 1))
+    np.testing.assert_array_equal(read_volume(path, step=1).values, A[::-1])
+
+
 @pytest.mark.parametrize("name", COLORS)
 def test_colors_are_no_values(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
