@@ -517,13 +517,14 @@ def frame(name: str, rows: Iterable[Mapping[str, Any]] = (), *, stored: bool = F
     import pandas as pd
 
     rows = list(rows)
-    columns = TABLES[name].facts if stored else TABLES[name].columns
-    return pd.DataFrame(
-        {
-            column: pd.Series([row.get(column) for row in rows], dtype=_IN_MEMORY.get(dtype, dtype))
-            for column, dtype in ((column, COLUMNS[column].dtype) for column in columns)
-        }
-    )
+    arrays: dict[str, Any] = {}
+    for column in TABLES[name].facts if stored else TABLES[name].columns:
+        dtype, values = COLUMNS[column].dtype, [row.get(column) for row in rows]
+        if dtype == "object":
+            arrays[column] = pd.Series(values, dtype=dtype)
+        else:
+            arrays[column] = pd.array(values, _IN_MEMORY.get(dtype, dtype))  # type: ignore[call-overload]
+    return pd.DataFrame(arrays, index=pd.RangeIndex(len(rows)), copy=False)
 
 
 def records(table: pd.DataFrame) -> list[dict[str, Any]]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -19,12 +21,21 @@ NO_LPIPS = "lpips_vgg: backbone weights missing: put vgg16-397923af.pth into ~/.
 def picture(path: Path, size: int, shift: float, noise: float, seed: int) -> None:
     """A shaded ball with straight alpha."""
     path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(_ball(size, shift, noise, seed))
+
+
+@cache
+def _ball(size: int, shift: float, noise: float, seed: int) -> bytes:
+    """Its PNG, made once."""
     y, x = np.mgrid[0:size, 0:size] / size * 2 - 1
     r = np.hypot(x - shift, y)
     rng = np.random.default_rng(seed)
     rgb = np.stack([0.9 - 0.4 * r, 0.5 + 0.3 * x, 0.3 + 0.4 * y], -1) + rng.normal(0, noise, (size, size, 3))
     alpha = np.clip((0.8 - r) * 8, 0, 1)[..., None]
-    Image.fromarray((np.clip(np.concatenate([rgb, alpha], -1), 0, 1) * 255).astype(np.uint8)).save(path)
+    file = io.BytesIO()
+    pixels = (np.clip(np.concatenate([rgb, alpha], -1), 0, 1) * 255).astype(np.uint8)
+    Image.fromarray(pixels).save(file, "PNG")
+    return file.getvalue()
 
 
 def settings(variant: str, knob: str = "rate_weight") -> dict:

@@ -1,5 +1,7 @@
 """One correction for all leads of a page."""
 
+import gc
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,6 +11,14 @@ from statsmodels.stats.multitest import multipletests
 from econgs_bench.reports.family import LEVEL, Family, largest
 
 P_VALUES = st.lists(st.floats(0.0, 1.0) | st.sampled_from([0.001, 0.01, 0.02, 0.05]), min_size=1, max_size=40)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _quick():
+    """statsmodels collects garbage in each call, of all that a worker holds."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(gc, "collect", lambda: 0)
+        yield
 
 
 @given(P_VALUES)
