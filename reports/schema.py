@@ -12,8 +12,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-
 from econgs_bench.reports.style import MIB, mib, seconds
 
 if TYPE_CHECKING:
@@ -529,6 +527,8 @@ def frame(name: str, rows: Iterable[Mapping[str, Any]] = (), *, stored: bool = F
 
 def records(table: pd.DataFrame) -> list[dict[str, Any]]:
     """The rows of a table; on wide ones much faster than `iterrows` and `to_dict`."""
+    import numpy as np
+
     columns = (
         column.tolist() if isinstance(column.dtype, np.dtype) else column.to_numpy(object, na_value=None)  # type: ignore[call-overload]
         for _, column in table.items()

@@ -216,14 +216,18 @@ def test_the_command_prints_its_address_and_ends_with_ctrl_c(tmp_path: Path) -> 
     with subprocess.Popen(
         command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env=os.environ | {"PYTHONSAFEPATH": "1"},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # deaf to it in a shell's background
     ) as process:  # fmt: skip
-        assert process.stdout is not None
-        address = process.stdout.readline().strip()
-        host, _, path = address.removeprefix("http://").partition("/")
-        connection = http.client.HTTPConnection(host, timeout=60)
-        connection.request("GET", f"/{path}")
-        assert connection.getresponse().status == 200
-        process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=60)
+        try:
+            assert process.stdout is not None
+            address = process.stdout.readline().strip()
+            host, _, path = address.removeprefix("http://").partition("/")
+            connection = http.client.HTTPConnection(host, timeout=60)
+            connection.request("GET", f"/{path}")
+            assert connection.getresponse().status == 200
+            process.send_signal(signal.SIGINT)
+            _, errors = process.communicate(timeout=60)
+        finally:
+            process.kill()
     assert process.returncode == 0, errors
     assert "Traceback" not in errors
