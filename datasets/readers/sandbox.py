@@ -132,8 +132,9 @@ class Sandbox:
         code = self._child.wait()
         if code == REFUSED:
             self._stderr.seek(0)
-            said = json.loads(self._stderr.read().splitlines()[-1])
-            return DataError(self.path, said["error"], said["remedy"])
+            with suppress(ValueError, LookupError, TypeError):  # a library may end with this code, too
+                said = json.loads(self._stderr.read().splitlines()[-1])
+                return DataError(self.path, said["error"], said["remedy"])
         how = f"ended with code {code}"
         if code < 0:
             with suppress(ValueError):

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -108,6 +111,25 @@ def test_pages_that_were_written_one_by_one(
         if last is not None:
             file.write(np.zeros(last, samples.FIELD.dtype), contiguous=False)
     np.testing.assert_array_equal(read_volume(path).values, samples.FIELD)
+    (tmp_path / "slices").mkdir()
+    for k in range(2):
+        shutil.copy(path, tmp_path / "slices" / f"{k}.tif")
+    with pytest.raises(DataError, match=r"0\.tif is no slice"):
+        read_volume(tmp_path / "slices")
+
+
+@pytest.mark.parametrize("text", [b"", b"no JSON", b"[1]", b'{"error": "x"}'])
+def test_a_library_that_ends_with_the_code_of_an_error(tmp_path: Path, monkeypatch, text: bytes) -> None:
+    """It is a crash like any other, whatever it wrote."""
+
+    def start(options: list[str], stderr: object) -> subprocess.Popen[bytes]:
+        code = f"import os; os.write(2, {text!r}); os._exit(4)"
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": stderr}
+        return subprocess.Popen([sys.executable, "-c", code], bufsize=0, **pipes)
+
+    monkeypatch.setattr(sandbox, "_start", start)
+    with pytest.raises(DataError, match="is damaged: the library that reads it ended with code 4"):
+        read_volume(samples.write(tmp_path, "v.tif"))
 
 
 def test_a_chunk_that_is_absent_has_the_fill_value(

@@ -35,12 +35,8 @@ class Stack:
     """A TIFF file: its first series of pages."""
 
     def __init__(self, path: Path) -> None:
-        import tifffile
-
         self._path = path
-        self._file = tifffile.TiffFile(path)
-        if self._file.is_shaped and sum(n > 1 for n in self._file.series[0].shape) < 3:
-            self._file = tifffile.TiffFile(path, is_shaped=False)  # tifffile's, written page by page
+        self._file = _opened(path)
         series = self._file.series[0]
         axes = [(letter, n) for letter, n in zip(series.axes, series.shape, strict=True) if n > 1]
         self._letters = "".join(letter for letter, _ in axes)
@@ -89,6 +85,17 @@ class Stack:
             return {}
         along = zip("xyz", distances, shape[2::-1], strict=True)
         return {name: d * np.arange(n, dtype=np.float64) for name, d, n in along if d is not None}
+
+
+def _opened(path: Path) -> Any:
+    """A file whose first series has all its pages: tifffile makes one of each page that a loop writes."""
+    import tifffile
+
+    file = tifffile.TiffFile(path)
+    if not file.is_shaped or len(file.series) == 1:
+        return file
+    file.close()
+    return tifffile.TiffFile(path, is_shaped=False)
 
 
 def _of_ome(text: str) -> list[float | None] | None:
@@ -228,9 +235,7 @@ def _picture(file: Path) -> tuple[NDArray[Any], int, str]:
     """(y, x), or (y, x, components), the number of channels among the components, and a line on them."""
     if file.suffix.lower() == ".png":
         return *_png(file), ""
-    import tifffile
-
-    with tifffile.TiffFile(file) as tiff:
+    with _opened(file) as tiff:
         _check_pages(file, tiff)
         series = tiff.series[0]
         axes = [(letter, n) for letter, n in zip(series.axes, series.shape, strict=True) if n > 1]
