@@ -44,6 +44,11 @@ _DEFAULT_FILL: dict[str, float] = {
 _MOST = 10_000
 
 
+def has_lone_last(array: Array) -> bool:
+    """Whether the last axis counts for nothing: of one entry, without a name, and not needed for three."""
+    return len(array.shape) > 3 and not any(array.dims) and array.shape[-1] == 1
+
+
 class Arrays:
     """The three-dimensional fields of a container of arrays.
 
@@ -103,7 +108,7 @@ class Arrays:
     def _order(self, array: Array) -> tuple[int, ...]:
         """The axes with those of space last, as far as names tell."""
         axes = tuple(range(len(array.shape)))
-        if len(axes) > 3 and not any(array.dims) and array.shape[-1] == 1:
+        if has_lone_last(array):
             return (axes[-1], *axes[:-1])
         if len(axes) < 3 or not any(array.dims):
             return axes

@@ -30,11 +30,12 @@ def open_npy(path: Path) -> Single:
 
 def of_array(path: Path, values: NDArray[Any]) -> Single:
     """A field by the conventions of arrays without names (:mod:`.datasets.readers.arrays`)."""
-    from econgs_bench.datasets.readers.arrays import variable_of
+    from econgs_bench.datasets.readers.arrays import has_lone_last, variable_of
 
-    if values.ndim > 3 and values.shape[-1] == 1:
-        values = np.moveaxis(values, -1, 0)
-    variable = variable_of(Array("value", values.shape, values.dtype, ("",) * values.ndim))
+    array = Array("value", values.shape, values.dtype, ("",) * values.ndim)
+    if has_lone_last(array):
+        return of_array(path, np.moveaxis(values, -1, 0))
+    variable = variable_of(array)
     if variable is None or values.ndim == 3:  # what is no field is refused when its values are read
         dims = (values.shape[2], values.shape[1], values.shape[0]) if values.ndim == 3 else (1, 1, 1)
         return Single(path, Variable("value", dims), lambda _: values, None)
