@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from econgs_bench.bench.jobs.measure import Measure, MeasureResult
-from econgs_bench.bench.jobs.supersampling import drawn_as
+from econgs_bench.bench.jobs.supersampling import drawer_of, drawn_as
 from econgs_bench.bench.jobs.views import ViewsResult
 from econgs_bench.bench.machine.timing import available_cores
 from econgs_bench.bench.metrics import METRICS
@@ -39,7 +39,7 @@ from econgs_bench.datasets.content import content
 from econgs_bench.datasets.errors import DataError, text_of
 from econgs_bench.datasets.scene import Dataset
 from econgs_bench.datasets.units import camera_in_units
-from econgs_bench.methods.interface import Refused
+from econgs_bench.methods.interface import DrawsTogether, Refused
 from econgs_bench.methods.registry import Registry
 from econgs_bench.methods.shared.decoders import decode_here
 
@@ -366,18 +366,24 @@ def _again(store: Store, folder: Path, request: dict[str, Any]) -> dict[str, Any
     views = truth.views(job.split, request["views"])
     method, scenes = context.method(), list(job.rendered)
     folders = [context.path_of(one) / "model" for one in context.inputs("encode")]
-    model = drawn_as(job, load_models(method, folders, job.device))
+    drawing = drawn_as(job, drawer_of(job, load_models(method, folders, job.device)))
     recorded = {name: job.metrics.get(name, "1") for name in _measured(record).metrics}
     names = [name for name, version in recorded.items() if _is_todays(name, version)]
     rows, missing = [], {name: "its version here is another" for name in recorded if name not in names}
-    for index, camera in enumerate(views.cameras):
-        seen = camera_in_units(camera, units)
-        answer = model.render(seen, scenes=scenes, edit=job.edits, background=views.background)
-        rgb, alpha = returned.picture(answer, seen)
+    cameras = [camera_in_units(camera, units) for camera in views.cameras]
+    own = None
+    if isinstance(drawing, DrawsTogether):
+        own = drawing.draw_all(cameras, scenes, job.edits, views.background)
+    for index, camera in enumerate(cameras):
+        if own is not None:
+            rgb, alpha = own[index]
+        else:
+            answer = drawing.render(camera, scenes=scenes, edit=job.edits, background=views.background)
+            rgb, alpha = returned.picture(answer, camera)
         values, reasons = evaluate(views.images[index], rgb, alpha, views.background, names)
         missing.update(reasons)
         rows.append({"view": camera.name or f"{request['views'][index]:04d}", "metrics": values})
-    primitives = sum(returned.primitives(model.primitives(scene)) for scene in scenes)
+    primitives = sum(returned.primitives(drawing.primitives(scene)) for scene in scenes)
     return {"views": rows, "missing": missing, "primitives": primitives}
 
 

@@ -16,6 +16,8 @@ import psutil
 import pytest
 
 from econgs_bench.bench.__main__ import main
+from econgs_bench.bench.run import redo
+from econgs_bench.bench.store.store import Store
 from econgs_bench.methods.contract.checks import COMMAND_CHECKS
 from tests.bench.conftest import runs, wait_for
 
@@ -126,6 +128,20 @@ def test_failures_are_rows_and_nothing_else_is_lost(bench, program: Path) -> Non
     assert "interpreter /nowhere/python is not there" in rows.loc["note=/dev/zero", "reason"]
     assert rows.loc["drawn=here,render=half", "status"] == "ok"
     assert not list(bench.store.glob("*/*/scratch"))
+
+
+def test_what_a_program_drew_without_alpha_is_drawn_again(
+    bench, program: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the program, and here: as each was measured."""
+    bench.run("--set", "program.render=opaque", method="program")
+    rows = bench.tables()["results"].set_index("variant")
+    assert rows.loc["render=opaque", "psnr"] != rows.loc["drawn=here,render=opaque", "psnr"]
+    monkeypatch.setattr(redo.Draw, "models", lambda *_: bench.of_kind("measure"))
+    file = bench.store / "store.json"
+    again = redo.redo(Store(bench.store), file, 2, datasets=[str(bench.dataset)], plugins=[str(program)])
+    assert (again.problems, again.unverified) == ([], [])
+    assert len(again.views) == 2
 
 
 @pytest.mark.slow
