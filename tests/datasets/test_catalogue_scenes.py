@@ -19,7 +19,7 @@ from econgs_bench.datasets.scene import Dataset
 from econgs_bench.datasets.view_cache import ViewCache
 from econgs_bench.datasets.views import ViewRequest, ViewSet
 
-REQUEST = ViewRequest("test", 12, 2, 48, 48)
+REQUEST = ViewRequest("test", 12, 2, 48, 48, samples=1)
 NAMES = (
     "boston_teapot", "carotid_flow", "csafe_heptane", "cth_impact", "engine_ct", "fuel", "hydrogen_atom",
     "isabel_wind", "mesh_disk_out_ref", "mesh_fire_ug", "nucleon", "stent_ct", "stroke_mri", "vis_male",
@@ -88,7 +88,8 @@ def test_procedural_scenes(cache: ViewCache, name: str) -> None:
 
 def test_extreme_scenes(cache: ViewCache) -> None:
     dataset = open_dataset("extremes", [])
-    alphas = {s.name: views_of(dataset, s.name, REQUEST, cache=cache).images[..., 3] for s in dataset.scenes}
+    request = replace(REQUEST, samples=0)  # a point may lie between single rays
+    alphas = {s.name: views_of(dataset, s.name, request, cache=cache).images[..., 3] for s in dataset.scenes}
     assert not alphas["nothing"].any()
     assert 1e-4 < alphas["point"].mean() < 0.005
     assert 0.005 < alphas["hairs"].mean() < 0.2

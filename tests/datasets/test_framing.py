@@ -14,7 +14,7 @@ from econgs_bench.datasets.render_views import cameras_of, views_of
 from econgs_bench.datasets.view_cache import ViewCache
 from econgs_bench.datasets.views import ViewRequest
 
-REQUEST = ViewRequest("test", 12, 5, 64, 48)
+REQUEST = ViewRequest("test", 12, 5, 64, 48, samples=1)
 
 ENTRY = """
 [[files]]

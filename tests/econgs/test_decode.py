@@ -189,7 +189,7 @@ def test_formulas_of_the_paper(case: Case) -> None:
 
 @pytest.mark.parametrize("light", [None, SIDE])
 def test_gradients_of_the_twin_by_finite_differences(light: Any) -> None:
-    case = Case(count=4, features=5, offsets=3, embedding=2, hidden=6, light=light, seed=5)
+    case = Case(count=3, features=5, offsets=3, embedding=2, hidden=4, light=light, seed=5)
     decoders, inputs = case.make()
     decoders = decoders.double()
     leaves = [one.double().requires_grad_(True) for one in inputs.values()]

@@ -55,7 +55,7 @@ def test_scenes_reach_every_rule(splat: Any) -> None:
 
 @pytest.mark.parametrize("low_pass", [LINEAGE, LowPass(0.8, compensated=True), LowPass(ray_power=0.7)])
 def test_gradients_are_those_of_finite_differences(splat: Any, low_pass: LowPass) -> None:
-    scene = splat.make_scene(7, (18, 13), 2, seed=2, sigma=0.15, opacity=(0.3, 0.7), shift=1.0)
+    scene = splat.make_scene(7, (9, 7), 2, seed=2, sigma=0.15, opacity=(0.3, 0.7), shift=1.0)
     inputs = [one.clone().requires_grad_(True) for one in scene.tensors.values()]
 
     def render(*tensors: torch.Tensor) -> tuple[torch.Tensor, ...]:

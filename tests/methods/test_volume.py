@@ -119,8 +119,8 @@ def test_streams_of_zfp_are_those_of_zfpy():
 
 
 @pytest.mark.parametrize("codec", [Sz3(), Zfp()], ids=lambda codec: codec.name)
-@pytest.mark.parametrize("bound", [1.0, 0.03, 1e-3, 1e-6])
-@pytest.mark.parametrize("shape", [(2, 2, 2), (5, 2, 9), (17, 33, 12)])
+@pytest.mark.parametrize("bound", [1.0, 1e-3, 1e-6])
+@pytest.mark.parametrize("shape", [(2, 2, 2), (17, 33, 12)])
 def test_no_error_is_above_its_bound(codec, bound, shape):
     random = np.random.default_rng(3)
     for values in (random.random(shape), np.full(shape, 0.7), np.indices(shape).sum(0) / sum(shape)):
@@ -172,7 +172,7 @@ def test_damage_with_the_checksum_made_again_is_refused_or_a_volume(codec):
     data = Samples.of(volume("v", 5)).stored(codec, 0.01).data
     refused = 0
     # Each stream is decoded by a process of its own: headers are searched densely, the rest is not.
-    for place in (*range(0, 100, 5), *range(100, len(data) - 4, 50)):
+    for place in (*range(0, 100, 5), *range(100, len(data) - 4, 200)):
         broken = bytearray(data)
         broken[place] ^= 0x10
         broken[-4:] = zlib.crc32(broken[:-4]).to_bytes(4, "little")

@@ -66,7 +66,8 @@ def server(entry: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Se
     names = [str(entry), "vortices@16", str(entry.parent / "data/ball_24x24x24_uint8.raw")]
     sources: list[Source] = found(names, entry.parent, (), "cpu")
     with serving(*sources) as running:
-        running.viewer.folder = tmp_path_factory.mktemp("start").resolve()
+        running.viewer.folder = tmp_path_factory.mktemp("start").resolve() / "folder"
+        running.viewer.folder.mkdir()
         yield running
 
 
