@@ -181,7 +181,7 @@ def array_of(archive: zipfile.ZipFile, name: str, kind: type, axes: int, most: i
     """
     info = archive.getinfo(f"{name}.npy")
     with opened(archive, f"{name}.npy") as file:
-        shape, fortran, dtype = _header(file)
+        shape, fortran, dtype = header_of(file)
         count = math.prod(shape)
         if dtype != kind or len(shape) != axes or min(shape, default=0) < 0:
             raise ValueError(f"{name} is {dtype} of {len(shape)} axes")
@@ -193,8 +193,13 @@ def array_of(archive: zipfile.ZipFile, name: str, kind: type, axes: int, most: i
     return values.reshape(shape[::-1]).T if fortran else values.reshape(shape)
 
 
-def _header(file: Any) -> tuple[tuple[int, ...], bool, np.dtype]:
-    """Shape, order and type of an array's header; NumPy's parser fails in many ways."""
+def header_of(file: Any) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """Shape, order (whether Fortran's) and type of an array in NumPy's format.
+
+    Raises:
+        ValueError: the header is damaged; NumPy's parser fails in many ways.
+        zipfile.BadZipFile, zlib.error, EOFError: the archive that it is read from is damaged.
+    """
     try:
         version = np.lib.format.read_magic(file)
         formats = np.lib.format

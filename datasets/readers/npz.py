@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from econgs_bench.datasets.bounded import opened
+from econgs_bench.datasets.bounded import header_of, opened
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.readers.container import Array
 from econgs_bench.datasets.readers.finish import Spacing, check_expansion
@@ -23,9 +23,9 @@ _REMEDY = "Write it with numpy.savez or numpy.savez_compressed, arrays of shape 
 _CHUNK = 1 << 24
 _DAMAGE = (
     zipfile.BadZipFile, zlib.error, EOFError, ValueError, NotImplementedError, RuntimeError, struct.error,
-    SyntaxError, TypeError, KeyError, IndexError, OverflowError, AttributeError,
+    KeyError, IndexError, OverflowError,
 )  # fmt: skip
-"""Exceptions of zipfile and NumPy's header parser for damaged files."""
+"""Exceptions of zipfile and of :func:`~.datasets.bounded.header_of` for damaged files."""
 
 
 class Npz:
@@ -60,11 +60,7 @@ class Npz:
         return x, y, z
 
     def _add(self, name: str, file: Any) -> None:
-        version = np.lib.format.read_magic(file)
-        read = (
-            np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        )
-        shape, fortran, dtype = read(file)
+        shape, fortran, dtype = header_of(file)
         if dtype.hasobject or min(shape, default=1) < 0:
             return
         self._header[name] = file.tell()
