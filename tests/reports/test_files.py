@@ -3,12 +3,13 @@ import re
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from econgs_bench.reports.__main__ import main
-from econgs_bench.reports.files import write_files
+from econgs_bench.reports.files import write_files, write_text
 from econgs_bench.reports.inputs import NEEDED, Unusable, read_results
 from econgs_bench.reports.schema import COLUMNS, TABLES, frame
 from econgs_bench.reports.sections.paper import documents as paper_documents
@@ -26,6 +27,20 @@ def written(maker):
     report = maker.report()
     write_files(report, maker.root / "out", papers.paper_tables(report.stored, report.views))
     return maker.root / "out"
+
+
+def test_a_file_that_cannot_be_written_leaves_the_old_one_alone(tmp_path, monkeypatch):
+    path = tmp_path / "report.html"
+    write_text(path, "old")
+
+    def full(self, content):
+        path.with_name(self.name).open("wb").write(content[:1])
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(OSError, match="No space left"):
+        write_text(path, "new")
+    assert {file.name: file.read_text() for file in tmp_path.iterdir()} == {"report.html": "old"}
 
 
 def test_curves_are_laid_out_as_compressai_does(maker):
