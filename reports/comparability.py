@@ -424,7 +424,7 @@ class Place:
         if self.processor != usual.processor or self.instructions != usual.instructions:
             return f"elsewhere: timed on {self.text}, the others on {usual.text}"
         if self.threads != usual.threads:
-            return f"elsewhere: timed with {self.threads} threads, the others with {usual.threads}"
+            return f"other threads: timed with {self.threads} threads, the others with {usual.threads}"
         if self.device != usual.device:
             return f"elsewhere: timed on {self.device}, the others on {usual.device}"
         if 0 in (self.ruler, usual.ruler):

@@ -49,7 +49,8 @@ def with_notes(charts: Mapping[str, Chart], report: Report) -> dict[str, Chart]:
 
     A chart whose panels bear no names of datasets is of all datasets.
     """
-    rows = records(report.measured)
+    known = [name for name in ("dataset", "samples") if name in report.measured]
+    rows = records(report.measured[known].drop_duplicates())
     return {
         name: replace(chart, note=_note(name, chart, report.remarks, rows)) for name, chart in charts.items()
     }

@@ -116,8 +116,6 @@ class Answer:
         winner: the best method, if its lead is significant; "" otherwise. A count has no test: its first one.
         sentence: the answer for people, with its uncertainty.
         scenes: number of scenes of which ``firsts`` of the places are counted; 0 where they are not.
-        level: the methods that share the first place, best first, where the best one's lead on them is not
-            significant; empty if there is a winner.
     """
 
     title: str
@@ -125,7 +123,6 @@ class Answer:
     winner: str
     sentence: str
     scenes: int = 0
-    level: tuple[str, ...] = ()
 
     def firsts(self, place: Place) -> str:
         """On how many scenes a method is first, for people; "" if on none, or if they are not counted."""
@@ -271,7 +268,7 @@ def measured(criterion: Criterion, contest: Contest, family: Family) -> Answer:
         condition := decoding(row for row in contest.rows if row["method"] in means)
     ):
         text += f" {condition}"
-    return Answer(criterion.title, places, "" if near else order[0], text, len(scenes), level)
+    return Answer(criterion.title, places, "" if near else order[0], text, len(scenes))
 
 
 def _closeness(contest: Contest, pair: Sequence[Cells]) -> str:

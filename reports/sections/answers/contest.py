@@ -72,7 +72,6 @@ class Contest:
             name includes its number of training views where there are several.
         main: datasets that count for all but robustness: of several numbers of training views the largest, of
             several versions of one dataset one.
-        clocks: which speeds were disturbed.
     """
 
     preset: str
@@ -181,12 +180,21 @@ class Contest:
             rows.setdefault(row["dataset"], []).append(row)
         return {dataset: by_scene(own) for dataset, own in rows.items()}
 
+    @cached_property
+    def _values(self) -> dict[str, Values]:
+        return {}
+
     def values(self, column: str) -> Values:
         """The values of a column on the datasets where all ranked methods have the scenes that all tried.
 
         Speeds are of the place with the most methods, then datasets, and of the scenes that those methods
         have there, at least half. Methods that have none of these, two at least being left, are left out.
         """
+        if column not in self._values:
+            self._values[column] = self._compared(column)
+        return self._values[column]
+
+    def _compared(self, column: str) -> Values:
         rows = [
             row
             for row in self.rows
@@ -294,14 +302,11 @@ def by_default(results: pd.DataFrame, kind: str) -> pd.DataFrame:
 
 def _why(text: str) -> str:
     """Why a time is left out, in words for a number of rows."""
-    kind, _, rest = text.partition(": ")
-    words = {
-        DISTURBED: "with a disturbed time", "another clock": "timed by other programs",
-        "another ruler": "timed by other versions of the harness",
-    }  # fmt: skip
-    return words.get(kind) or (
-        "with other threads" if rest.startswith("timed with") else "from other processors"
-    )
+    return {
+        DISTURBED: "with a disturbed time", "elsewhere": "from other processors",
+        "other threads": "with other threads", "another clock": "timed by other programs",
+        "another ruler": "timed by other versions of the harness", "another version": "of another version",
+    }[text.partition(": ")[0]]  # fmt: skip
 
 
 def _main(rows: pd.DataFrame) -> frozenset[str]:
