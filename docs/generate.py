@@ -320,8 +320,8 @@ def _machines(results: pd.DataFrame) -> list[str]:
     """Processors of fits; those of some methods alone with these."""
     fitted = results.dropna(subset=["fit_processor"])
     machines = {
-        str(processor): [TITLES.get(name, name) for (name,) in _ordered(group, ["method"])]
-        for processor, group in fitted.groupby("fit_processor")
+        str(processor): [name for (name,) in _ordered(group, ["called"])]
+        for processor, group in fitted.assign(called=_called(fitted)).groupby("fit_processor")
     }
     if len(set(map(tuple, machines.values()))) == 1:
         return list(machines)
@@ -331,14 +331,24 @@ def _machines(results: pd.DataFrame) -> list[str]:
 def _stale(results: pd.DataFrame) -> str:
     """Which rows are of versions or options that are no longer today's."""
     stale = results[results["stale"].fillna(False)]
+    stale = stale.assign(called=_called(stale))
     parts = []
-    for (method,) in _ordered(stale, ["method"]):
-        changes = sorted(set(stale.loc[stale["method"] == method, "changes"]))
+    for (name,) in _ordered(stale, ["called"]):
+        changes = sorted(set(stale.loc[stale["called"] == name, "changes"]))
         each = dict.fromkeys(change for one in changes for change in one.split(", "))
         short = ", ".join(each) if len(each) < 3 else f"{len(each)} changes"
         short = re.sub(r"^version (\S+) \(today \S+\)$", r"v\1", short)
-        parts.append(f"{TITLES.get(method, method)} {short}")
+        parts.append(f"{name} {short}")
     return f"stale: {_brief(parts, '; ')}" if parts else ""
+
+
+def _called(results: pd.DataFrame) -> list[str]:
+    """Method of each row by the name that it is cited by: with the settings of its paper or with ours."""
+    published = results["variant"].fillna("").str.split(",").map(lambda options: PAPER in options)
+    return [
+        label(method, PAPER if paper else "")
+        for method, paper in zip(results["method"], published, strict=True)
+    ]
 
 
 def _brief(names: list[str], between: str = ", ") -> str:
@@ -415,7 +425,7 @@ def bundle_list(_: dict[str, Any]) -> str:
         seen = {name: set(results[name].dropna()) for name in ("dataset", "method", "preset", "seed")}
         parts = (
             [f"`{name}`" for name in sorted(seen["dataset"])],
-            [TITLES[name] for name in METHODS if name in seen["method"]],
+            [name for (name,) in _ordered(results.assign(called=_called(results)), ["called"])],
             sorted(seen["preset"]),
             map(str, sorted(seen["seed"])),
         )
