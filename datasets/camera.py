@@ -120,6 +120,13 @@ class Camera:
         return self.position, directions
 
 
+def rotation(axis: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
+    """(3, 3) rotation by an angle in radians around a unit vector (3,), by Rodrigues' formula."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross)
+
+
 def with_near_planes(cameras: Sequence[Camera]) -> tuple[Camera, ...]:
     """Cameras around an object, their near planes at :data:`NEAR` of their mean distance from the middle.
 

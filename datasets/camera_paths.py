@@ -22,11 +22,6 @@ _TURNS = 10.0
 _PHASE = 1.7048
 
 
-def viewing_distance(bounding_radius: float, fov: float = FIELD_OF_VIEW) -> float:
-    """Distance from the centre at which a sphere just fits the field of view, with a small margin."""
-    return _MARGIN * bounding_radius / math.sin(0.5 * fov)
-
-
 def training_cameras(
     n: int, bounding_radius: float, width: int, height: int, centre: Position | None = None
 ) -> tuple[Camera, ...]:
@@ -110,7 +105,7 @@ def icosphere(n: int) -> NDArray[np.float64]:
     return np.array(points)
 
 
-def spiral(n: int, phase: float = _PHASE, step: float = 0.0) -> NDArray[np.float64]:
+def spiral(n: int, step: float = 0.0) -> NDArray[np.float64]:
     """(n, 3) unit vectors spaced evenly along a spherical spiral from pole to pole around z.
 
     A step in degrees places them that far apart on either side of its middle.
@@ -123,7 +118,7 @@ def spiral(n: int, phase: float = _PHASE, step: float = 0.0) -> NDArray[np.float
     if step:
         places = 0.5 * length[-1] + math.radians(step) / theta[1] * (np.arange(n) - 0.5 * (n - 1))
     at = np.interp(places, length, theta)
-    azimuth = slope * at + phase
+    azimuth = slope * at + _PHASE
     return np.stack([np.sin(at) * np.cos(azimuth), np.sin(at) * np.sin(azimuth), np.cos(at)], axis=-1)
 
 
@@ -149,8 +144,8 @@ def _looking_inwards(
     centre: Position | None,
     prefix: str,
 ) -> tuple[Camera, ...]:
-    """Cameras whose shorter image side spans :data:`FIELD_OF_VIEW`."""
-    distance = viewing_distance(bounding_radius)
+    """Cameras whose shorter image side spans :data:`FIELD_OF_VIEW`, which the sphere just fits."""
+    distance = _MARGIN * bounding_radius / math.sin(0.5 * FIELD_OF_VIEW)
     focal = 0.5 * min(width, height) / math.tan(0.5 * FIELD_OF_VIEW)
     fov_x = 2.0 * math.atan(0.5 * width / focal)
     cameras = []

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from econgs_bench.datasets.scene import RGB, BasicScene, Light
     from econgs_bench.datasets.transfer import Bump, TransferFunction
 
-_OPAQUE = 0.9999
-"""Opacity of bumps stays below 1, where extinction would be infinite."""
 _SAMPLES = 4096
 
 
@@ -72,7 +70,9 @@ def edited(scene: BasicScene, edit: Edit) -> BasicScene:
         r, g, b = (new - old for new, old in zip(edit.palette, mean_color(scene), strict=True))
         scene = _changed(scene, lambda part: _recolor(part, (r, g, b)))
     if edit.opacity is not None:
-        factor, most = edit.opacity, 1.0 if scene.isosurfaces else _OPAQUE
+        from econgs_bench.datasets.transfer import MOST_OPACITY
+
+        factor, most = edit.opacity, 1.0 if scene.isosurfaces else MOST_OPACITY
         scene = _changed(scene, lambda part: replace(part, opacity=min(factor * part.opacity, most)))
     if scene.light is not None:
         scene = replace(scene, light=_relight(scene.light, edit))

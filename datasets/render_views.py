@@ -132,7 +132,6 @@ def finer_views(
     request: ViewRequest,
     *,
     edit: Mapping[str, Edit] | None = None,
-    renderer: Renderer = "auto",
     count: int = FLOOR_VIEWS,
 ) -> Finer:
     """What the truth itself may be measured against: independent pictures of evenly spaced views.
@@ -142,7 +141,6 @@ def finer_views(
         scene_name: one of its basic scenes or compositions.
         request: whose views.
         edit: as for :func:`views_of`.
-        renderer: as for :func:`views_of`.
         count: number of views.
 
     Raises:
@@ -150,7 +148,7 @@ def finer_views(
     """
     from econgs_bench.datasets.prerendered import area_average
 
-    job = RenderJob.of(dataset, _edited(dataset.parts(scene_name), edit), request, renderer)
+    job = RenderJob.of(dataset, _edited(dataset.parts(scene_name), edit), request)
     places = evenly_spaced(len(job.places), count)
     cameras = tuple(job.cameras[job.places[i]] for i in places)
     double = tuple(camera.resized(2 * request.width, 2 * request.height) for camera in cameras)
@@ -178,9 +176,7 @@ class LiveRenderer:
     about: dict[str, Any]
 
 
-def live_renderer(
-    dataset: Dataset, scene_name: str, request: ViewRequest, *, renderer: Renderer = "auto"
-) -> LiveRenderer:
+def live_renderer(dataset: Dataset, scene_name: str, request: ViewRequest) -> LiveRenderer:
     """Set up the renderer of a scene or composition to draw views one by one.
 
     Raises:
@@ -189,22 +185,17 @@ def live_renderer(
     """
     if dataset.kind == "views":
         raise DataError(dataset.name, "was rendered elsewhere", "Name a dataset with a volume")
-    job = RenderJob.of(dataset, dataset.parts(scene_name), request, renderer)
+    job = RenderJob.of(dataset, dataset.parts(scene_name), request)
     draw, seconds = job.set_up()
     return LiveRenderer(lambda camera: draw((camera,))[0], job.cameras, seconds, job.renderer)
 
 
-def marcher_of(
-    volumes: Sequence[Volume],
-    backend: probe.Backend,
-    settings: MarchSettings = MarchSettings(),  # noqa: B008  (frozen)
-) -> Marcher:
+def marcher_of(volumes: Sequence[Volume], backend: probe.Backend) -> Marcher:
     """The ray marcher that draws the ground truth, on volumes of one grid and box.
 
     Args:
         volumes: at least one.
         backend: of :func:`.datasets.ground_truth.probe.find_backend`; without one the reference marcher.
-        settings: step and table size.
 
     Raises:
         DataError: the volumes differ in grid or box.
@@ -216,11 +207,11 @@ def marcher_of(
 
         from econgs_bench.datasets.ground_truth.reference import ReferenceMarcher
 
-        return ReferenceMarcher(volumes, settings, torch.float32, _torch_device())
+        return ReferenceMarcher(volumes, dtype=torch.float32, device=_torch_device())
     probe.activate(backend)
     from econgs_bench.datasets.ground_truth.mitsuba_marcher import MitsubaMarcher
 
-    return MitsubaMarcher(volumes, settings)
+    return MitsubaMarcher(volumes)
 
 
 @lru_cache(maxsize=1)
@@ -268,7 +259,11 @@ class RenderJob:
 
     @classmethod
     def of(
-        cls, dataset: Dataset, parts: tuple[BasicScene, ...], request: ViewRequest, renderer: Renderer
+        cls,
+        dataset: Dataset,
+        parts: tuple[BasicScene, ...],
+        request: ViewRequest,
+        renderer: Renderer = "auto",
     ) -> RenderJob:
         """The job of a scene's parts.
 

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.camera import Camera, rotation
 from econgs_bench.datasets.cloud import PointCloud, random_cloud
 from econgs_bench.datasets.errors import DataError
 
@@ -80,12 +80,8 @@ def noisy(
 def turned(camera: Camera, degrees: float, generator: np.random.Generator) -> Camera:
     """A camera turned about its own centre by an angle, around a random axis."""
     axis = generator.standard_normal(3)
-    x, y, z = axis / np.linalg.norm(axis)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    angle = math.radians(degrees)
-    rotation = np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
     matrix = camera.camera_to_world.copy()
-    matrix[:3, :3] = rotation @ matrix[:3, :3]
+    matrix[:3, :3] = rotation(axis / np.linalg.norm(axis), math.radians(degrees)) @ matrix[:3, :3]
     return replace(camera, camera_to_world=matrix)
 
 

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 MOST_ENTRIES = 1 << 20
 """Greatest size of a table."""
+MOST_OPACITY = 0.9999
+"""Greatest opacity over one reference length: at 1, extinction would be infinite."""
 _PER_BUMP = 64  # the narrowest bump has this part of a table's least entries
 
 
@@ -79,7 +81,7 @@ class TransferFunction:
             nearest = np.where(closer[..., None], color, nearest)
         visible = opacity > 0.0
         color = np.where(visible[..., None], weighted / np.where(visible, opacity, 1.0)[..., None], nearest)
-        extinction = -np.log1p(-np.minimum(opacity, 0.9999)) / self.reference_length
+        extinction = -np.log1p(-np.minimum(opacity, MOST_OPACITY)) / self.reference_length
         return np.concatenate([color, extinction[..., None]], axis=-1)
 
     @property

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from econgs_bench.datasets.bounded import json_of
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.names import unknown
-from econgs_bench.datasets.transfer import Bump, TransferFunction
+from econgs_bench.datasets.transfer import MOST_OPACITY, Bump, TransferFunction
 
 SPACES = {
     "rgb": "RGB", "hsv": "HSV", "wrapped": "HSV", "lab": "Lab", "cielab": "Lab", "diverging": "Diverging",
@@ -25,7 +25,6 @@ _SAMPLES, _COARSE = 4097, 257
 _OPACITY, _COLOR = 1 / 1024, 1 / 512
 """Largest errors of a map's opacity and color."""
 _MOST_BYTES = 16 * 2**20
-_MOST_OPACITY = 0.9999  # of a bump, which is below 1
 _REMEDY = "Export it anew (ParaView: Color Map Editor, Save to preset, Export)"
 
 
@@ -132,7 +131,7 @@ def transfer_of(
             middle if number < len(at) - 1 else 1.0,
             end,
             (float(color[0]), float(color[1]), float(color[2])),
-            min(float(height), _MOST_OPACITY),
+            min(float(height), MOST_OPACITY),
         )
         for number, (start, middle, end, color, height) in enumerate(
             zip(before.tolist(), at.tolist(), after.tolist(), rgb, opacity, strict=True)

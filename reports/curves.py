@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from econgs_bench.reports.fronts import pareto
@@ -113,6 +115,51 @@ class Curve:
     @property
     def _beaten(self) -> int:
         return len(self.points) - len(self.front)
+
+
+@dataclass(frozen=True)
+class Need:
+    """What a model takes for a quality.
+
+    Attributes:
+        bytes: of the model.
+        primitives: of the model; NaN where its row does not say.
+        bound: the smallest model is above that quality: these are its, and less may do.
+    """
+
+    bytes: float
+    primitives: float
+    bound: bool = False
+
+
+def need(curve: Curve, level: float) -> Need | None:
+    """What the first model of a curve that reaches a quality takes, logarithms linear in dB between points.
+
+    Nothing is extrapolated: None where the quality is never reached.
+    """
+    smallest = curve.points[0]
+    if smallest.psnr >= level:
+        return Need(smallest.bytes, _primitives(smallest), smallest.psnr > level)
+    for below, above in pairwise(curve.points):
+        if above.psnr >= level:  # the first that is
+            share = (level - below.psnr) / (above.psnr - below.psnr)
+            return Need(
+                _between(below.bytes, above.bytes, share),
+                _between(_primitives(below), _primitives(above), share),
+            )
+    return None
+
+
+def _primitives(point: Point) -> float:
+    """NaN where the row does not say."""
+    primitives = point.row.get("primitives")
+    return math.nan if primitives is None else float(primitives)
+
+
+def _between(low: float, high: float, share: float) -> float:
+    if min(low, high) <= 0.0:  # an empty model has no logarithm
+        return low + share * (high - low)
+    return float(low * (high / low) ** share)
 
 
 def at_default_rates(table: pd.DataFrame) -> pd.DataFrame:

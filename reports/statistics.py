@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,23 +75,17 @@ def block_length(views: int) -> int:
     return max(1, -(-views // BLOCKS))
 
 
-def bootstrap_means(values: NDArray[np.float64], length: int, resamples: int = RESAMPLES) -> NDArray[Any]:
-    """Means of resampled series (circular block bootstrap; Politis & Romano 1992), with a fixed seed.
+def _weights(n: int, length: int, resamples: int = RESAMPLES) -> NDArray[np.float64]:
+    """(resamples, n) number of draws of each value, over n; the same for all series of n values.
+
+    With the values of a path, the first of which follows the last, they give the means of resampled series
+    (circular block bootstrap; Politis & Romano 1992).
 
     Args:
-        values: (n,) values in the order of the path; the first follows the last.
+        n: number of values.
         length: length of a block, 1 to n; 1 is the ordinary bootstrap.
         resamples: number of resampled series.
-
-    Returns:
-        (resamples,) means of n values each.
     """
-    means: NDArray[np.float64] = _weights(len(values), length, resamples) @ values
-    return means
-
-
-def _weights(n: int, length: int, resamples: int) -> NDArray[np.float64]:
-    """(resamples, n) number of draws of each value, over n; the same for all series of n values."""
     starts = np.random.default_rng(_SEED).integers(0, n, (resamples, -(-n // length)))
     indices = (starts[:, :, None] + np.arange(length)) % n
     rows = np.arange(resamples)[:, None]
@@ -102,8 +96,8 @@ def _weights(n: int, length: int, resamples: int) -> NDArray[np.float64]:
 
 @cache
 def _covariance(n: int, length: int) -> NDArray[np.float64]:
-    """(n, n) covariance C of the weights: the variance of :func:`bootstrap_means` of v is v C v."""
-    return np.cov(_weights(n, length, RESAMPLES), rowvar=False, bias=True).reshape(n, n)
+    """(n, n) covariance C of the weights: the variance of the mean of resampled v is v C v."""
+    return np.cov(_weights(n, length), rowvar=False, bias=True).reshape(n, n)
 
 
 class Variance(NamedTuple):

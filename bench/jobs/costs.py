@@ -3,30 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TypeVar
 
 from econgs_bench.bench.jobs.encode import EncodeResult
 from econgs_bench.bench.jobs.fit import FitResult
 from econgs_bench.bench.jobs.partition import PartitionResult
+from econgs_bench.bench.machine.timing import worst_of
 from econgs_bench.bench.store.lineage import ModelRecords
 from econgs_bench.bench.store.records import Record, Row
-
-_N = TypeVar("_N", int, float)
 
 
 def memory(record: Record, fits: Iterable[Record] = ()) -> Row:
     """Peaks of a job and of the fits behind it; ``group_peak_host_bytes`` of the fits alone."""
     fits = list(fits)
     return {
-        "peak_host_bytes": largest(one.peak_host_bytes for one in (record, *fits)),
-        "peak_device_bytes": largest(one.peak_device_bytes for one in (record, *fits)),
-        "group_peak_host_bytes": largest(fit.peak_host_bytes for fit in fits),
+        "peak_host_bytes": worst_of(one.peak_host_bytes for one in (record, *fits)),
+        "peak_device_bytes": worst_of(one.peak_device_bytes for one in (record, *fits)),
+        "group_peak_host_bytes": worst_of(fit.peak_host_bytes for fit in fits),
     }
-
-
-def largest(values: Iterable[_N | None]) -> _N | None:
-    """The largest of the known values; None without any."""
-    return max((value for value in values if value is not None), default=None)
 
 
 def costs(rendered: Sequence[str], models: list[ModelRecords]) -> Row:
@@ -92,7 +85,7 @@ def fit_row(rendered: Sequence[str], fits: list[Record]) -> Row:
     points = {name: count for one in results for name, count in one.cloud_points.items()}
     known = points.keys() >= set(rendered)
     return {
-        "fit_reference_seconds": largest(one.reference_seconds for one in results),
-        "fit_reference_worst": largest(one.reference_worst for one in results),
+        "fit_reference_seconds": worst_of(one.reference_seconds for one in results),
+        "fit_reference_worst": worst_of(one.reference_worst for one in results),
         "start_points": sum(points[scene] for scene in rendered) if known else None,
     }

@@ -15,6 +15,7 @@ from econgs_bench.bench.jobs.method import ModelJob
 from econgs_bench.bench.machine.timing import synchronise
 from econgs_bench.bench.store.lineage import Lineage
 from econgs_bench.bench.store.records import Count, Record, Result, Row, Whole
+from econgs_bench.bench.store.store import folder_bytes
 from econgs_bench.methods.interface import check_ledger
 
 
@@ -59,7 +60,7 @@ class Encode(ModelJob):
         ledger = returned.ledger(model.save(folder, self.rate))
         synchronise(self.device)
         seconds = time.perf_counter() - start
-        total = sum(p.stat().st_size for p in folder.rglob("*") if p.is_file())
+        total = folder_bytes(folder)
         check_ledger(ledger, total, self.scenes)
         return EncodeResult(seconds=seconds, total_bytes=total, ledger=ledger)
 

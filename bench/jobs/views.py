@@ -43,8 +43,8 @@ class ViewsResult(Result):
             version among it; empty for pre-rendered views.
         distance: distance in [0, 1] of the transfer functions from those before the edit
             (:func:`.datasets.unseen.transfer_distance`); None without an edit of them.
-        transfer: part -> its transfer function and isosurfaces (:func:`.bench.plan.inputs.transfer_summary`);
-            empty for pre-rendered views.
+        transfer: part -> its transfer function and isosurfaces, by
+            :func:`.bench.jobs.scene_views.transfer_summary`; empty for pre-rendered views.
         variable: what a basic scene shows; "" for others.
         cloud_seconds: from the volume in memory to the candidates of initial clouds; None without a volume.
         floor: metric -> what the truth itself reaches against the same views rendered with other, more rays

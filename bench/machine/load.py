@@ -143,6 +143,6 @@ def clock_cap(root: Path = Path("/sys/devices/system/cpu")) -> tuple[float, floa
     return min(caps, default=None)
 
 
-def user_text(users: Sequence[tuple[str, float]], most: int = 3) -> str:
-    """The busiest processes: "python 1.9, cc1plus 0.5"."""
-    return ", ".join(f"{name} {cores:.1f}" for name, cores in users[:most])
+def user_text(users: Sequence[tuple[str, float]]) -> str:
+    """The three busiest processes: "python 1.9, cc1plus 0.5"."""
+    return ", ".join(f"{name} {cores:.1f}" for name, cores in users[:3])

@@ -29,7 +29,7 @@ PACKAGES = (
 def provenance(threads: int, spec: MethodSpec | None, device: str) -> Provenance:
     """The facts about this process; needs no heavy import of its own."""
     return Provenance(
-        machine=platform.node() or "unknown",
+        machine=machine_name(),
         cpu=cpu(),
         cores=os.cpu_count() or 1,
         usable=available_cores(),
@@ -43,6 +43,11 @@ def provenance(threads: int, spec: MethodSpec | None, device: str) -> Provenance
         commit=commit_here(),
         source=source_hash(spec) if spec else None,
     )
+
+
+def machine_name() -> str:
+    """The machine's name in records."""
+    return platform.node() or "unknown"
 
 
 def source_hash(spec: MethodSpec) -> str | None:

@@ -15,12 +15,12 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from econgs_bench.bench.store.records import FrameTimes
-from econgs_bench.datasets.camera import Camera
+from econgs_bench.datasets.camera import Camera, rotation
 
 WARMUP_SECONDS = 3.0
 MEASURE_SECONDS = 1.0
@@ -44,8 +44,10 @@ _TURN = math.radians(2.0)
 """Largest angle by which a camera of a path is turned, radians."""
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 _WINDOW = 5
+_PARTS_CAMERAS = 9
 _LAPS = 3
 _AMID_LAPS = 2
+_N = TypeVar("_N", int, float)
 
 
 def synchronise(device: str) -> None:
@@ -93,9 +95,9 @@ def mean_of(before: float | None, after: float | None) -> float | None:
     return None if before is None or after is None else 0.5 * (before + after)
 
 
-def worst_of(times: Iterable[float | None]) -> float | None:
-    """The longest of some reference times; None if none is known."""
-    return max((time for time in times if time is not None), default=None)
+def worst_of(values: Iterable[_N | None]) -> _N | None:
+    """The largest of the known values; None if none is known."""
+    return max((value for value in values if value is not None), default=None)
 
 
 def fresh_cameras(path: Sequence[Camera]) -> Iterator[Camera]:
@@ -113,10 +115,8 @@ def fresh_cameras(path: Sequence[Camera]) -> Iterator[Camera]:
 
 def turned(camera: Camera, angle: float) -> Camera:
     """A camera, turned by an angle in radians about its own vertical through the origin of scene space."""
-    x, y, z = camera.camera_to_world[:3, 1]
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     matrix = np.eye(4)
-    matrix[:3, :3] += math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
+    matrix[:3, :3] = rotation(camera.camera_to_world[:3, 1], angle)
     return replace(camera, camera_to_world=matrix @ camera.camera_to_world)
 
 
@@ -208,9 +208,7 @@ def told_frames(times: Sequence[float]) -> FrameTimes:
     )
 
 
-def median_timings(
-    timings: Callable[[Camera], Any], cameras: Sequence[Camera], frames: int = 9
-) -> dict[str, float]:
+def median_timings(timings: Callable[[Camera], Any], cameras: Sequence[Camera]) -> dict[str, float]:
     """Median seconds of each part of a frame over cameras spread along the path.
 
     After one frame of warm-up, whole passes over these cameras are timed for a tenth of a second, so that an
@@ -219,10 +217,9 @@ def median_timings(
 
     Args:
         timings: seconds by part of one frame of a camera.
-        cameras: the path.
-        frames: about as many cameras of it are timed.
+        cameras: the path; about nine of them are timed.
     """
-    chosen = cameras[:: max(1, len(cameras) // frames)]
+    chosen = cameras[:: max(1, len(cameras) // _PARTS_CAMERAS)]
     path = fresh_cameras(chosen)
     with _no_collection():
         timings(next(path))

@@ -10,15 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from econgs_bench.bench.metrics import METRICS
-from econgs_bench.bench.metrics.image import Pair, scores, to_8bit
+from econgs_bench.bench.metrics.image import FOREGROUND, Pair, scores, to_8bit
 from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.pictures import SUFFIXES
 from econgs_bench.datasets.png import open_picture, read_png
 from econgs_bench.datasets.views import over
 
 if TYPE_CHECKING:
     import pandas as pd
-
-SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff"})
 
 
 def score(renders: Path, truth: Path, background: Sequence[float] = (1.0, 1.0, 1.0)) -> pd.DataFrame:
@@ -103,7 +102,7 @@ def _pair(render: Path, truth: Path, background: Sequence[float]) -> Pair:
         )
     colors = [to_8bit(over(image, (background[0], background[1], background[2]))) for image in (b, a)]
     # Alpha says where there is something; an image without it must not make everything foreground.
-    covers = [image[..., 3] >= 1.0 / 255.0 for image, has in ((a, a_has), (b, b_has)) if has]
+    covers = [image[..., 3] >= FOREGROUND for image, has in ((a, a_has), (b, b_has)) if has]
     foreground = np.logical_or.reduce(covers) if covers else None
     alphas = (to_8bit(b[..., 3]), to_8bit(a[..., 3])) if a_has and b_has else None
     return Pair(colors[0], colors[1], foreground, alphas)

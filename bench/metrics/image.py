@@ -12,7 +12,8 @@ from econgs_bench.datasets.views import over
 
 IDENTICAL_DB = 100.0
 """PSNR of identical images, and its cap: one 8-bit step in one pixel of a large image would exceed it."""
-_FOREGROUND = 1.0 / 255.0
+FOREGROUND = 1.0 / 255.0
+"""Least alpha of the foreground."""
 SSIM_WINDOW = 11
 
 
@@ -52,11 +53,11 @@ class Pair:
                 raise ValueError(f"{what} holds values that are not finite")
         # By the same arithmetic as models and the harness: a perfect render must come out identical.
         color = over(truth, (background[0], background[1], background[2]))
-        foreground = truth[..., 3] >= _FOREGROUND
+        foreground = truth[..., 3] >= FOREGROUND
         if alpha is None:
             return Pair(to_8bit(color), to_8bit(rgb), foreground)
         alphas = to_8bit(truth[..., 3]), to_8bit(alpha)
-        return Pair(to_8bit(color), to_8bit(rgb), foreground | (alpha >= _FOREGROUND), alphas)
+        return Pair(to_8bit(color), to_8bit(rgb), foreground | (alpha >= FOREGROUND), alphas)
 
     @property
     def identical(self) -> bool:

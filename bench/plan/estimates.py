@@ -12,7 +12,7 @@ from typing import Any
 from econgs_bench.bench.jobs.fit import FitResult
 from econgs_bench.bench.jobs.method import MethodJob
 from econgs_bench.bench.store.records import Job, Record
-from econgs_bench.bench.store.store import Store
+from econgs_bench.bench.store.store import Store, folder_bytes
 
 _MEASURED = 9
 """Jobs whose folders are measured; more would only cost time."""
@@ -105,9 +105,7 @@ def _seconds(record: Record) -> float:
 def _median(jobs: list[tuple[Store, Record]]) -> Estimate:
     folders = (store.jobs / record.job.id for store, record in reversed(jobs))
     whole = (folder for folder in folders if (folder / "log.txt").is_file())  # no bundle holds a log
-    sizes = [
-        sum(f.stat().st_size for f in folder.rglob("*") if f.is_file()) for folder in islice(whole, _MEASURED)
-    ]
+    sizes = list(map(folder_bytes, islice(whole, _MEASURED)))
     return Estimate(
         seconds=median(_seconds(record) for _, record in jobs),
         memory=int(median(record.peak_host_bytes or 0 for _, record in jobs)),

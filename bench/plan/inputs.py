@@ -1,4 +1,4 @@
-"""Datasets as plans and views jobs read them: names, numbers of views, views, transfer functions."""
+"""Datasets as plans read them: names, and numbers and sizes of views."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from econgs_bench.datasets.catalogue.entries import built_in, own_files
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.readers.naming import split
 from econgs_bench.datasets.scene import Dataset
-
-_BINS = 128  # of a recorded transfer function
 
 
 def absolute(name_or_path: str) -> str:

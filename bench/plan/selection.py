@@ -127,9 +127,8 @@ def subsets(selection: Selection, preset: ViewPreset) -> list[Subset]:
 
 def usual_sources(selection: Selection, names: Collection[str]) -> set[str]:
     """Sources (:attr:`Subset.source`) of some of a suite's datasets, or of what stands in for them."""
-    suite = selection.suite
-    available = _available(suite)
-    present = (name if name in available else suite.stand_ins.get(name, name) for name in names)
+    available = _available(selection.suite)
+    present = (selection.suite.source(name, available) for name in names)
     return {inputs.absolute(name) for name in present if name}
 
 

@@ -34,7 +34,7 @@ from econgs_bench.bench.results.rungs import FILE, ladders_of
 from econgs_bench.bench.results.tables import stored_tables
 from econgs_bench.bench.results.verification import Evidence, absences, contradictions
 from econgs_bench.bench.store.records import SCHEMA, Provenance, Record
-from econgs_bench.bench.store.store import LONGEST, Store, read_record
+from econgs_bench.bench.store.store import LONGEST, Store, folder_bytes, read_record
 from econgs_bench.bench.suites.ladders import Ladder
 from econgs_bench.datasets.bounded import (
     decompress_xz,
@@ -379,7 +379,7 @@ def _check_model(root: Path, record: Record) -> list[str]:
     encode = record.of(EncodeResult)
     if encode is None or not folder.is_dir():
         return []
-    size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+    size = folder_bytes(folder)
     parts = sum(sum(part.values()) for part in encode.ledger.values())
     if size == encode.total_bytes == parts:
         return []

@@ -25,7 +25,7 @@ from econgs_bench.bench.store.lineage import Lineage
 from econgs_bench.bench.store.records import Job, Record, Row
 from econgs_bench.bench.store.store import Store
 from econgs_bench.bench.suites.ladders import Ladder
-from econgs_bench.datasets.catalogue.entries import built_in, entry, is_procedural
+from econgs_bench.datasets.catalogue.entries import built_in, entry, is_procedural, members
 from econgs_bench.reports import comparability
 from econgs_bench.reports.schema import TABLES, frame, joined
 
@@ -271,8 +271,7 @@ def _samples(record: Record, lineage: Lineage) -> int | None:
 @cache
 def _has_volume(dataset: str) -> bool:
     """Whether the catalogue renders all parts of a dataset here, for records without their views."""
-    parts = [part.partition("@")[0] for part in dataset.split("+")]
-    return all(part in built_in() and entry(part)["kind"] != "views" for part in parts)
+    return all(part in built_in() and entry(part)["kind"] != "views" for part in members(dataset))
 
 
 def _processors(records: list[Record]) -> str | None:

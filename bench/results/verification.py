@@ -18,13 +18,13 @@ from itertools import pairwise
 from econgs_bench.bench.jobs.encode import EncodeResult
 from econgs_bench.bench.jobs.fit import Fit, FitResult
 from econgs_bench.bench.jobs.measure import Measure, MeasureResult
+from econgs_bench.bench.jobs.scene_views import view_request
 from econgs_bench.bench.jobs.views import ViewsResult
 from econgs_bench.bench.machine.timing import BY_PROGRAM, MEASURE_FRAMES, MEASURE_SECONDS
-from econgs_bench.bench.metrics import METRICS
+from econgs_bench.bench.metrics import METRICS, mean
 from econgs_bench.bench.metrics.image import IDENTICAL_DB, SSIM_WINDOW
 from econgs_bench.bench.store.lineage import Lineage
 from econgs_bench.bench.store.records import FrameTimes, Record, ViewResult
-from econgs_bench.bench.suites.stress import stress_of
 from econgs_bench.datasets.views import split_indices
 
 _REL = 1e-9
@@ -176,13 +176,11 @@ def means(record: Record, evidence: Evidence) -> Iterator[str]:
         yield f"{name} was asked for and is not there"
     for name, value in measure.metrics.items():
         values = [view.metrics.get(name) for view in measure.views]
-        numbers = [one for one in values if one is not None]
-        whole = bool(numbers) and len(numbers) == len(values)
-        mean = math.fsum(numbers) / len(numbers) if whole else None
-        if (mean is None) != (value is None):
-            yield f"{name} is {value}, but {len(values) - len(numbers)} of {len(values)} views lack it"
-        elif mean is not None and value is not None and not math.isclose(mean, value, rel_tol=_REL):
-            yield f"{name} is {value:.10g}, but the mean of its {len(values)} views is {mean:.10g}"
+        expected = mean(values)
+        if (expected is None) != (value is None):
+            yield f"{name} is {value}, but {values.count(None)} of {len(values)} views lack it"
+        elif expected is not None and value is not None and not math.isclose(expected, value, rel_tol=_REL):
+            yield f"{name} is {value:.10g}, but the mean of its {len(values)} views is {expected:.10g}"
         if (value is None) != (name in measure.missing):
             yield f"{name} is {value}, {'with' if name in measure.missing else 'without'} a reason"
     for view in measure.views:
@@ -390,10 +388,9 @@ def _views_job(record: Record) -> str:
 
 
 def _size(record: Record) -> tuple[int, int]:
-    """Width and height of the measured views, as for :func:`.bench.jobs.scene_views.view_request`."""
-    zoom = stress_of(record.job.stress).get("zoom", 1.0)
-    request = record.job.request
-    return max(1, round(zoom * request.width)), max(1, round(zoom * request.height))
+    """Width and height of the measured views."""
+    view = view_request(record.job.request, record.job.split, record.job.stress)
+    return view.width, view.height
 
 
 def _values(record: Record) -> int:

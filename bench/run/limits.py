@@ -12,8 +12,6 @@ Memory: :data:`SHARE` of the machine or control group, against what a job holds 
 
 from __future__ import annotations
 
-import math
-import platform
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +19,7 @@ import psutil
 
 from econgs_bench.bench.jobs.method import MethodJob
 from econgs_bench.bench.machine.control_groups import memory_limit
+from econgs_bench.bench.machine.provenance import machine_name
 from econgs_bench.bench.plan.estimates import Past
 from econgs_bench.bench.run.display import span
 from econgs_bench.bench.store.records import Job, Record
@@ -35,7 +34,6 @@ LONGEST_CAP = 192 * HOUR
 """Of the preset paper, and of a suite's own presets."""
 CAP_PIXELS = 256 * 256
 SHARE = 0.95
-OFF = math.inf
 
 
 @dataclass(frozen=True)
@@ -48,7 +46,7 @@ class Limit:
 
 @dataclass(frozen=True)
 class Limits:
-    """What the command line says: None for the defaults, :data:`OFF` for no limit.
+    """What the command line says: None for the defaults, infinity for no limit.
 
     Attributes:
         seconds: of a job, without waiting for the machine.
@@ -94,7 +92,7 @@ def finished_here(store: Store) -> Past:
     """The finished jobs of a store that ran on this machine."""
 
     def here(record: Record) -> bool:
-        return record.provenance is not None and record.provenance.machine == (platform.node() or "unknown")
+        return record.provenance is not None and record.provenance.machine == machine_name()
 
     return Past([store], here)
 

@@ -172,9 +172,9 @@ def stop_run(run: str) -> None:
         _state.stops[run] += 1
 
 
-def visible_record(store: Store, job: str, seconds: float = VISIBLE_SECONDS) -> Record | None:
+def visible_record(store: Store, job: str) -> Record | None:
     """The record of a job that another node has finished, as soon as it is seen here; else None."""
-    end = time.monotonic() + seconds
+    end = time.monotonic() + VISIBLE_SECONDS
     while (record := store.record(job)) is None and time.monotonic() < end:
         with suppress(OSError):
             os.listdir(store.jobs)  # has the folder looked at anew

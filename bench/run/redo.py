@@ -34,7 +34,7 @@ from econgs_bench.bench.store.records import Job, Record
 from econgs_bench.bench.store.store import Store, read_record, write_text
 from econgs_bench.bench.suites.stress import stress_of
 from econgs_bench.datasets.catalogue import open_dataset
-from econgs_bench.datasets.catalogue.entries import built_in
+from econgs_bench.datasets.catalogue.entries import built_in, members
 from econgs_bench.datasets.content import content
 from econgs_bench.datasets.errors import DataError, text_of
 from econgs_bench.datasets.scene import Dataset
@@ -216,7 +216,7 @@ class _Here:
 
     def _source(self, job: Job) -> str:
         """Name or path of a dataset whose scene has the content of a views job."""
-        known = all(part.partition("@")[0] in built_in() for part in job.dataset.split("+"))
+        known = all(part in built_in() for part in members(job.dataset))
         sources = dict(self.given)
         reasons = []
         if known:

@@ -260,6 +260,11 @@ def check_files(root: Path) -> None:
         )
 
 
+def folder_bytes(folder: Path) -> int:
+    """Bytes of all files below a folder."""
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+
+
 def _neither_files_nor_folders(root: Path) -> Iterator[os.DirEntry[str]]:
     folders = [str(root)]
     while folders:

@@ -153,10 +153,13 @@ class Suite:
         """The datasets to run where those ``available`` have data: stand-ins take the places of others."""
         datasets: dict[str, tuple[tuple[str, ...], ...]] = {}
         for name, scenes in self.datasets.items():
-            source = name if name in available else self.stand_ins.get(name, name)
-            if source:
+            if source := self.source(name, available):
                 datasets.setdefault(source, scenes)
         return datasets
+
+    def source(self, name: str, available: Collection[str]) -> str:
+        """The dataset that runs for one of the suite's where those ``available`` have data; "": none."""
+        return name if name in available else self.stand_ins.get(name, name)
 
 
 _KEYS = [key.name for one in (Suite, ViewPreset) for key in fields(one) if key.name != "name"]

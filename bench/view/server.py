@@ -94,12 +94,14 @@ class Viewer:
 
     Args:
         sources: what can be looked at, at least one.
-        folder: in which scenes are saved; None: where the command was started.
+
+    Attributes:
+        folder: in which scenes are saved: where the command was started.
     """
 
-    def __init__(self, sources: Sequence[Source], folder: Path | None = None) -> None:
+    def __init__(self, sources: Sequence[Source]) -> None:
         self.sources = tuple(sources)
-        self.folder = (folder or Path.cwd()).resolve()
+        self.folder = Path.cwd().resolve()
 
     def about(self, body: Mapping[str, Any]) -> Reply:
         """Labels of all sources, and the color scale of differences."""

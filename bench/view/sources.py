@@ -412,6 +412,7 @@ def of_job(store: Store, job_id: str, plugins: Sequence[str], device: str) -> Op
 
 def _folder(folder: Path, plugins: Sequence[str], device: str) -> Opened:
     """A saved model without its store: the method that reads it is the one that wrote it."""
+    from econgs_bench.bench.store.store import folder_bytes
     from econgs_bench.methods.registry import Registry, load_method
 
     registry = Registry(plugins)
@@ -423,8 +424,7 @@ def _folder(folder: Path, plugins: Sequence[str], device: str) -> Opened:
         except Exception as error:  # each method refuses the files of the others in its own words
             reasons.append(f"{name}: {error}")
             continue
-        size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
-        cameras = _around(model, model.scenes)
+        cameras, size = _around(model, model.scenes), folder_bytes(folder)
         return Opened(model.scenes, WHITE, cameras, model, edits=frozenset(spec.edits), size=size)
     raise DataError(
         folder, f"no method reads it ({reasons[0] if reasons else 'there is none'})", "Give a job"

@@ -64,18 +64,20 @@ def built_in() -> tuple[str, ...]:
     return tuple(sorted(places, key=lambda name: _built_in(name)["kind"] != "procedural"))
 
 
+def members(name: str) -> list[str]:
+    """Names of the sets that "beetle@64+argon_bubble" joins, without their resolutions."""
+    return [part.partition("@")[0] for part in name.split("+")]
+
+
 def is_joined(name: str) -> bool:
     """Whether a text names several sets of the catalogue, as "beetle+argon_bubble"."""
-    parts = [part.partition("@")[0] for part in name.split("+")]
+    parts = members(name)
     return len(parts) > 1 and all(part in names() for part in parts)
 
 
 def is_procedural(name: str) -> bool:
     """Whether ``NAME`` or ``NAME@RESOLUTION``, or several joined by "+", are built-in volumes of formulas."""
-    if is_joined(name):
-        return all(is_procedural(part) for part in name.split("+"))
-    base = name.partition("@")[0]
-    return base in built_in() and _built_in(base)["kind"] == "procedural"
+    return all(part in built_in() and _built_in(part)["kind"] == "procedural" for part in members(name))
 
 
 def own_files() -> dict[str, Path]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from econgs_bench.datasets.ground_truth.model import Layer
+from econgs_bench.datasets.visibility import ends
 
 RADII = (1 / 64, 1 / 32, 1 / 16, 1 / 8)
 """Half-sides of the neighbourhoods in scene space."""
@@ -108,9 +109,7 @@ def beside_level(values: NDArray[np.float32], level: float) -> NDArray[np.bool_]
     inside = values >= np.float32(level)
     beside = np.zeros(values.shape, dtype=bool)
     for axis in range(3):
-        a = tuple(slice(None, -1) if x == axis else slice(None) for x in range(3))
-        b = tuple(slice(1, None) if x == axis else slice(None) for x in range(3))
-        differs = inside[a] != inside[b]
-        beside[a] |= differs
-        beside[b] |= differs
+        differs = np.not_equal(*ends(inside, axis))
+        for side in ends(beside, axis):
+            side |= differs
     return beside

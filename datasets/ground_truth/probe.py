@@ -20,6 +20,7 @@ import subprocess
 import sys
 import sysconfig
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
@@ -211,10 +212,11 @@ def _undecided(backend: str, library: str, reason: str) -> DataError:
 
 
 def _remember(record: Path, key: str, failure: str) -> None:
+    aside = record.with_suffix(f".{os.getpid()}")
     try:
         record.parent.mkdir(parents=True, exist_ok=True)
-        aside = record.with_suffix(f".{os.getpid()}")
         aside.write_text(json.dumps({"key": key, "failure": failure}), encoding="utf-8")
         os.replace(aside, record)
-    except OSError:
-        pass  # a read-only cache costs a second each time, no more
+    except OSError:  # a read-only cache costs a second each time, no more
+        with suppress(OSError):
+            aside.unlink()

@@ -77,11 +77,6 @@ def default_resolution(name: str) -> int:
     return _FAMILIES[name].default if name in _FAMILIES else DEFAULT_RESOLUTION
 
 
-def make_volume(name: str, resolution: int | None = None, seed: int = 0) -> Volume:
-    """The (first) volume of a set: see :func:`make_volumes`."""
-    return next(iter(make_volumes(name, resolution, seed).values()))
-
-
 def make_volumes(name: str, resolution: int | None = None, seed: int = 0) -> dict[str, Volume]:
     """Every variable of a procedural set, with ``resolution`` samples along the longest side.
 

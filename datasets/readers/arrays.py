@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.readers.axes import place
-from econgs_bench.datasets.readers.container import Array, Container
+from econgs_bench.datasets.readers.container import MOST_ARRAYS, Array, Container
 from econgs_bench.datasets.readers.fields import Choice, Field, Variable, channels_of, scalar
 from econgs_bench.datasets.readers.finish import unpacked
 from econgs_bench.datasets.readers.lengths import in_one_unit, metres
@@ -41,7 +41,6 @@ _DEFAULT_FILL: dict[str, float] = {
     "f4": 9.969209968386869e36, "f8": 9.969209968386869e36, "i2": -32767, "u2": 65535, "i4": -2147483647,
     "u4": 4294967295, "i8": -9223372036854775806, "u8": 18446744073709551614,
 }  # fmt: skip
-_MOST = 10_000
 
 
 def has_lone_last(array: Array) -> bool:
@@ -63,7 +62,7 @@ class Arrays:
         self.path, self._file, self._missing, self._netcdf = path, container, missing, netcdf
         variables = []
         self._arranged: dict[str, tuple[Array, tuple[int, ...]]] = {}
-        for stored in list(container.arrays.values())[:_MOST]:
+        for stored in list(container.arrays.values())[:MOST_ARRAYS]:
             order = self._order(stored)
             array = replace(
                 stored,

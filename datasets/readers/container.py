@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from econgs_bench.datasets.readers.finish import Spacing
 
+MOST_ARRAYS = 10_000
+"""Arrays of a file beyond these are ignored."""
+
 
 @dataclass(frozen=True)
 class Array:

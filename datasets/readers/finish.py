@@ -17,7 +17,7 @@ from econgs_bench.datasets.scratch import converted, new_array
 Spacing = tuple[float, float, float]
 UNIT: Spacing = (1.0, 1.0, 1.0)
 
-_DEFLATE_LIMIT = 1032
+DEFLATE_LIMIT = 1032
 """Maximum expansion of a deflate stream."""
 _CHUNK = 1 << 24
 
@@ -142,7 +142,7 @@ def wrong_size(path: Path, expected: int, actual: str, dims: tuple[int, ...], dt
 
 def check_expansion(path: Path, compressed: int, expected: int, dims: tuple[int, ...], dtype: str) -> None:
     """Check, before allocation, that a compressed file of that size can hold so many bytes."""
-    if expected > compressed * _DEFLATE_LIMIT + 1024:
+    if expected > compressed * DEFLATE_LIMIT + 1024:
         raise wrong_size(path, expected, f"{compressed} compressed bytes", dims, dtype)
 
 

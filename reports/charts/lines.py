@@ -4,21 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from types import MappingProxyType
 
 import numpy as np
 
-from econgs_bench.reports.charts.chart import (
-    Chart,
-    Panel,
-    Series,
-    Text,
-    broken_axis,
-    linear_axis,
-    log_axis,
-    room_for,
-)
+from econgs_bench.reports.charts.chart import Chart, Panel, Series, Text, broken_axis, log_axis, room_for
 from econgs_bench.reports.charts.levels import with_floor
 from econgs_bench.reports.floors import Floor
 from econgs_bench.reports.style import OTHERS, Look, Model, legend_entries, looks
@@ -55,7 +45,6 @@ def lines(
     y: str,
     models: list[Model],
     *,
-    log_x: bool = True,
     log_y: bool = False,
     floors: Mapping[str, Floor | None] = MappingProxyType({}),
 ) -> Chart:
@@ -63,14 +52,12 @@ def lines(
 
     Args:
         panels: dataset -> lines.
-        x: title of the horizontal axis.
+        x: title of the horizontal axis, which is logarithmic.
         y: title of the vertical axis.
         models: all of the report.
-        log_x: whether x is logarithmic; a linear axis begins at 0.
         log_y: whether y is logarithmic.
         floors: panel -> noise floor of its truth, where y is PSNR.
     """
-    across = partial(log_axis, title=x) if log_x else partial(linear_axis, title=x, start=0.0)
     parts = []
     for title, curves in panels.items():
         styles = looks([curve.model for curve in curves], models)
@@ -83,7 +70,7 @@ def lines(
             series.append(Series(curve.title, curve.x, curve.y, look, line=line, mark=mark))
         drawn = Panel(
             title,
-            across([v for curve in curves for v in curve.x], room=room_for(names)),
+            log_axis([v for curve in curves for v in curve.x], x, room=room_for(names)),
             log_axis([v for curve in curves for v in curve.y], y)
             if log_y
             else broken_axis([curve.y for curve in curves], y, least=2.0),

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from econgs_bench.reports.charts import svg
 from econgs_bench.reports.charts.files import pdf
-from econgs_bench.reports.charts.labels import text_width
 from econgs_bench.reports.text import printable
 
 SIZE = 6.5
@@ -19,25 +18,16 @@ SIZE = 6.5
 _INCH = 72.0  # points
 _PIXELS = 96.0  # of SVG in an inch
 
-Box = tuple[float, float, float, float]
-"""Left, top, right and bottom in inches from the upper left corner."""
-
 
 class Sheet:
     """A drawing; all lengths are inches from the upper left corner.
 
     Args:
         width, height: of the sheet.
-
-    Attributes:
-        pictures: the boxes of the pictures.
-        texts: the lines of captions with their boxes.
     """
 
     def __init__(self, width: float, height: float) -> None:
         self.width, self.height = width, height
-        self.pictures: list[Box] = []
-        self.texts: list[tuple[str, Box]] = []
         self._parts: list[str] = []
 
     def picture(
@@ -49,7 +39,6 @@ class Sheet:
         file = io.BytesIO()
         Image.fromarray(pixels).save(file, "PNG")
         data = base64.b64encode(file.getvalue()).decode("ascii")
-        self.pictures.append((left, top, left + width, top + height))
         self._parts.append(
             f'<image {_place(left, top, width, height)} preserveAspectRatio="none" '
             f'image-rendering="pixelated" href="data:image/png;base64,{data}"/>'
@@ -73,10 +62,7 @@ class Sheet:
     ) -> None:  # fmt: skip
         """Lines of text below an upper left corner."""
         for number, line in enumerate(printable(text).split("\n")):
-            under = top + (number + 1) * line_height(size)
-            long = text_width(line, size) / _INCH
-            self.texts.append((line, (left, under - line_height(size), left + long, under)))
-            base = _INCH * under - 0.25 * size
+            base = _INCH * (top + (number + 1) * line_height(size)) - 0.25 * size
             self._parts.append(svg.text(_INCH * left, base, line, size=size, color=color, bold=bold))
 
     @property

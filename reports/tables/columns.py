@@ -34,13 +34,17 @@ def quality(table: pd.DataFrame) -> tuple[str, ...]:
     return ("ssim", "flip", "psnr", "psnr_fg", "delta_e_uv", "lpips_vgg")
 
 
-def numbers(results: pd.DataFrame) -> tuple[str, ...]:
-    """The numbers of `results` that people read, in order of display: what decides comes first."""
+def numbers(results: pd.DataFrame) -> list[str]:
+    """The numbers of `results` that people read, in order of display: what decides comes first.
+
+    One that no row has is left out, but for PSNR and size.
+    """
     first, *others = sorted(quality(results), key=lambda name: name != "psnr")
-    return (
+    names = (
         first, "floor", "size_bytes", "train_seconds", "fps", "peak_host_bytes", "peak_device_bytes", *others,
         "primitives", "load_seconds",
     )  # fmt: skip
+    return [name for name in names if name in ("psnr", "size_bytes") or results[name].notna().any()]
 
 
 def axes(results: pd.DataFrame) -> list[str]:

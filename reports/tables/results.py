@@ -21,7 +21,7 @@ def display(results: pd.DataFrame) -> pd.DataFrame:
 
     A column that is the same in all rows (one seed) or empty is omitted. Only unfinished rows have a reason.
     """
-    names = [n for n in numbers(results) if n in ("psnr", "size_bytes") or results[n].notna().any()]
+    names = numbers(results)
     out = results[["dataset", "scene", "method", *names]].copy()
     out["method"] = [label(*row) for row in results[["method", "variant", "rate"]].itertuples(index=False)]
     for axis in axes(results):

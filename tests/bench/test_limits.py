@@ -17,7 +17,6 @@ from econgs_bench.bench.plan.estimates import Past
 from econgs_bench.bench.results.bundle import zip_of
 from econgs_bench.bench.run.limits import (
     LEAST_SECONDS,
-    OFF,
     SHARE,
     TIMES,
     Limit,
@@ -95,7 +94,8 @@ def test_a_limit_says_where_it_comes_from_and_how_to_lift_it(suite) -> None:
     reason = time_reason(Limits().time(fit, past, spec))
     assert reason.startswith("killed after its time limit of 8:20 h")
     assert "--time-limit none" in reason
-    assert Limits(OFF, OFF).time(fit, past, spec).amount == Limits(OFF, OFF).bytes().amount == math.inf
+    off = Limits(math.inf, math.inf)
+    assert off.time(fit, past, spec).amount == off.bytes().amount == math.inf
     assert "--memory-limit none" in Limits().bytes().origin
 
 
@@ -166,7 +166,7 @@ def test_pages_of_files_are_no_memory_of_a_job(tmp_path) -> None:
         while child.status() != psutil.STATUS_ZOMBIE:
             time.sleep(0.01)
         resident = psutil.Process(process.pid).memory_info().rss
-        assert used_memory(process.pid, OFF) == pytest.approx(resident, rel=0.1)
+        assert used_memory(process.pid, math.inf) == pytest.approx(resident, rel=0.1)
         held = used_memory(process.pid, 0)
         assert held <= resident - 2**26
         lines = Path(f"/proc/{process.pid}/status").read_text(encoding="utf-8").splitlines()

@@ -29,7 +29,7 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def _volume(tmp_path: Path, name: str = "shells one.npy") -> Path:
     path = tmp_path / "data" / name
-    np.save(path, 1000.0 * procedural.make_volume("shells", 32).normalised() - 200.0)
+    np.save(path, 1000.0 * procedural.make_volumes("shells", 32)["shells"].normalised() - 200.0)
     return path
 
 
@@ -84,7 +84,7 @@ def test_propose_edit_look(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 
 def test_several_variables_and_choices_round_trip(tmp_path: Path) -> None:
     file = tmp_path / "data" / "two.npz"
-    shells = procedural.make_volume("shells", 24).normalised()
+    shells = procedural.make_volumes("shells", 24)["shells"].normalised()
     np.savez(file, **{"shell s": shells, "turned": shells[::-1].copy() ** 2})
     assert main(["scenes", str(file), "--out", str(tmp_path / "data" / "mine.toml"), *SMALL]) == 0
     entry = tmp_path / "data" / "mine.toml"

@@ -72,7 +72,7 @@ def test_each_boundary_has_a_bump_and_the_background_none(noise: float) -> None:
 
 @pytest.mark.parametrize("name", procedural.FIELDS)
 def test_every_scene_shows_something_and_none_a_solid_box(name: str) -> None:
-    volume = procedural.make_volume(name, 48)
+    volume, *_ = procedural.make_volumes(name, 48).values()
     for scene in automatic_scenes(volume, 3):
         share = (scene.transfer.classify(volume.normalised())[..., 3] > 0).mean()
         assert 1e-3 < share < 0.5
@@ -262,5 +262,5 @@ def test_each_large_label_has_a_scene() -> None:
 
 
 def test_the_choice_does_not_depend_on_threads_or_chance() -> None:
-    volume = procedural.make_volume("vortices", 32)
+    volume = procedural.make_volumes("vortices", 32)["vortices"]
     assert automatic_scenes(volume) == automatic_scenes(volume)

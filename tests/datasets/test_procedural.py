@@ -8,6 +8,11 @@ from scipy import ndimage
 
 from econgs_bench.datasets import procedural
 from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.volume import Volume
+
+
+def _first(name: str, n: int, seed: int = 0) -> Volume:
+    return next(iter(procedural.make_volumes(name, n, seed).values()))
 
 
 def _doubles(name: str, n: int) -> bool:
@@ -21,14 +26,14 @@ def _doubles(name: str, n: int) -> bool:
 def test_same_field_at_any_resolution(name: str) -> None:
     # Sides are whole numbers of steps, at both resolutions, only for some numbers of samples.
     n = next(n for n in range(13, 40) if _doubles(name, n))
-    coarse, fine = procedural.make_volume(name, n), procedural.make_volume(name, 2 * n - 1)
+    coarse, fine = _first(name, n), _first(name, 2 * n - 1)
     difference = coarse.values.astype(int) - fine.values[::2, ::2, ::2].astype(int)
     assert np.abs(difference).max() <= 1
 
 
 @pytest.mark.parametrize("name", procedural.FIELDS)
 def test_deterministic_by_seed(name: str) -> None:
-    first, again, other = (procedural.make_volume(name, 24, seed) for seed in (0, 0, 1))
+    first, again, other = (_first(name, 24, seed) for seed in (0, 0, 1))
     np.testing.assert_array_equal(first.values, again.values)
     assert np.corrcoef(first.values.reshape(-1), other.values.reshape(-1))[0, 1] < 0.99
 
@@ -44,7 +49,7 @@ def test_vortex_values_peak_on_the_zeros_of_the_wave_field() -> None:
         generator.standard_normal(length.shape) + 1j * generator.standard_normal(length.shape)
     )
     vectors = np.stack([kx, ky, kz], axis=-1)
-    volume = procedural.make_volume("vortices", 21, seed=3)
+    volume = _first("vortices", 21, seed=3)
     for z, y, x in [(0, 0, 0), (3, 11, 20), (17, 5, 8)]:
         at = np.array([x, y, z]) / 20
         waves = modes * np.exp(2j * np.pi * vectors @ at)
@@ -55,9 +60,9 @@ def test_vortex_values_peak_on_the_zeros_of_the_wave_field() -> None:
 
 
 def test_vortices_are_thin_and_shells_are_nested() -> None:
-    vortices = procedural.make_volume("vortices", 64).normalised()
+    vortices = _first("vortices", 64).normalised()
     assert 0.01 < (vortices > 0.5).mean() < 0.15
-    shells = procedural.make_volume("shells", 48).normalised()
+    shells = _first("shells", 48).normalised()
     for level in (0.12, 0.3, 0.6):
         _, parts = ndimage.label(shells > level)
         assert parts == 1
@@ -67,4 +72,4 @@ def test_vortices_are_thin_and_shells_are_nested() -> None:
 @pytest.mark.parametrize("resolution", [0, -1, 7, 4096])
 def test_absurd_resolutions(resolution: int) -> None:
     with pytest.raises(DataError, match="out of range"):
-        procedural.make_volume("vortices", resolution)
+        procedural.make_volumes("vortices", resolution)

@@ -3,7 +3,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from econgs_bench.reports.statistics import Views, block_length, bootstrap_means, interval
+from econgs_bench.reports.statistics import Views, _weights, block_length, interval
 from econgs_bench.reports.style import ends, signed
 from econgs_bench.reports.tables.documents import to_latex, to_markdown
 from econgs_bench.reports.tables.ranks import UNDECIDED_NOTE, ranks
@@ -20,7 +20,7 @@ def autoregressive(rng, count, n, rho):
 
 def test_blocks_of_one_view_are_the_ordinary_bootstrap():
     values = np.random.default_rng(1).gamma(2.0, size=60)
-    ours = bootstrap_means(values, 1, 20_000)
+    ours = _weights(60, 1, 20_000) @ values
     theirs = stats.bootstrap((values,), np.mean, n_resamples=20_000, method="percentile", rng=2)
     assert ours.std() == pytest.approx(theirs.standard_error, rel=0.03)
     assert np.quantile(ours, [0.025, 0.975]) == pytest.approx(theirs.confidence_interval, rel=0.01)
@@ -32,7 +32,7 @@ def test_the_error_of_the_mean_is_that_of_circular_blocks(length):
     values = autoregressive(np.random.default_rng(3), 1, 65, 0.8)[0]
     blocks = [np.mean(np.roll(values, -start)[:length]) for start in range(65)]
     expected = np.std(blocks) * np.sqrt(length / 65)
-    assert bootstrap_means(values, length, 50_000).std() == pytest.approx(expected, rel=0.02)
+    assert (_weights(65, length, 50_000) @ values).std() == pytest.approx(expected, rel=0.02)
 
 
 @pytest.mark.parametrize(("rho", "least", "most"), [(0.0, 0.93, 0.99), (0.5, 0.92, 0.98), (0.8, 0.88, 0.97)])

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.readers.child.parts import Slabs
+from econgs_bench.datasets.readers.container import MOST_ARRAYS
+from econgs_bench.datasets.readers.finish import DEFLATE_LIMIT
 
 _SLAB = 1 << 24
-_MOST = 10_000
-_DEFLATE_LIMIT = 1032
 _SPARSE, _ROOM = 1 << 16, 1 << 30
 """A dataset with absent chunks is at most so many times larger than what is stored, and so many bytes."""
 _NO_POSITIONS = "This is a netCDF dimension but not a netCDF variable"
@@ -44,7 +44,7 @@ class Hdf5:
                 about["spacing"] = _spacing(attributes)
                 if not str(attributes.get("NAME", "")).startswith(_NO_POSITIONS):
                     entries.append({**about, "dims": _dims(item), "attributes": attributes})
-            return True if len(entries) >= _MOST else None
+            return True if len(entries) >= MOST_ARRAYS else None
 
         self._file.visititems(visit)
         return {"entries": entries}
@@ -87,7 +87,7 @@ def _check_stored(path: Path, item: h5py.Dataset) -> str:
         if present < count:
             held = min(whole, present * math.prod(item.chunks) * item.dtype.itemsize)
             text = f"{count - present} of {count} chunks of {item.name.lstrip('/')!r} are absent"
-    if stored * _DEFLATE_LIMIT + 4096 < held or stored * _SPARSE + _ROOM < whole:
+    if stored * DEFLATE_LIMIT + 4096 < held or stored * _SPARSE + _ROOM < whole:
         name = item.name.lstrip("/")
         reason = f"is damaged, or {name!r} was not written: {stored} stored bytes cannot hold its {whole}"
         raise DataError(path, reason, "Copy it again")

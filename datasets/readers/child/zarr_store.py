@@ -13,9 +13,9 @@ import zarr
 from numpy.typing import NDArray
 
 from econgs_bench.datasets.readers.child.parts import Slabs
+from econgs_bench.datasets.readers.container import MOST_ARRAYS
 from econgs_bench.datasets.readers.lengths import in_one_unit
 
-_MOST = 10_000
 _AXES = {"time": "t", "channel": "c"}
 """Names of OME-Zarr's axes by their types."""
 
@@ -55,7 +55,7 @@ class Store:
             self._arrays["value"] = root
         else:
             for name, member in root.members(max_depth=None):
-                if isinstance(member, zarr.Array) and len(self._arrays) < _MOST:
+                if isinstance(member, zarr.Array) and len(self._arrays) < MOST_ARRAYS:
                     self._arrays[name] = member
                 elif isinstance(member, zarr.Group):
                     self._add_images(f"{name}/", member)

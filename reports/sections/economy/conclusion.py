@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from econgs_bench.reports.curves import Curve, Point, at_default_rates, curves
+from econgs_bench.reports.curves import Curve, Need, at_default_rates, curves, need
 from econgs_bench.reports.report import Report, once
 from econgs_bench.reports.schema import PRUNED
 from econgs_bench.reports.style import MISSING, Model, model
@@ -30,21 +30,6 @@ _LEAST_SCENES = 3
 """Scenes of a method for which growth is reported."""
 _LEAST_DECADES = 1.0
 """Decades of volume size a method's scenes must span before growth is reported."""
-
-
-@dataclass(frozen=True)
-class Need:
-    """What a model takes for a quality.
-
-    Attributes:
-        bytes: of the model.
-        primitives: of the model; NaN where its row does not say.
-        bound: the smallest model is above that quality: these are its, and less may do.
-    """
-
-    bytes: float
-    primitives: float
-    bound: bool = False
 
 
 @dataclass(frozen=True)
@@ -161,36 +146,6 @@ def _pruned(results: pd.DataFrame) -> dict[tuple[str, str, str, Model], tuple[fl
         count, *shares = numbers[at].mean(axis=0).tolist()
         cells[scene, preset, split, model(method, base)] = count, dict(zip(PRUNED, shares, strict=True))
     return cells
-
-
-def need(curve: Curve, level: float) -> Need | None:
-    """What the first model of a curve that reaches a quality takes, logarithms linear in dB between points.
-
-    Nothing is extrapolated: None where the quality is never reached.
-    """
-    smallest = curve.points[0]
-    if smallest.psnr >= level:
-        return Need(smallest.bytes, _primitives(smallest), smallest.psnr > level)
-    for below, above in pairwise(curve.points):
-        if above.psnr >= level:  # the first that is
-            share = (level - below.psnr) / (above.psnr - below.psnr)
-            return Need(
-                _between(below.bytes, above.bytes, share),
-                _between(_primitives(below), _primitives(above), share),
-            )
-    return None
-
-
-def _primitives(point: Point) -> float:
-    """NaN where the row does not say."""
-    primitives = point.row["primitives"]
-    return math.nan if primitives is None else float(primitives)
-
-
-def _between(low: float, high: float, share: float) -> float:
-    if min(low, high) <= 0.0:  # an empty model has no logarithm
-        return low + share * (high - low)
-    return float(low * (high / low) ** share)
 
 
 def gains(curve: Curve) -> tuple[float, ...]:

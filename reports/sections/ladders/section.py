@@ -15,7 +15,7 @@ from econgs_bench.reports.sections.ladders import breaks as ladder_files
 from econgs_bench.reports.sections.ladders import strips
 from econgs_bench.reports.sections.ladders.chart import KINDS, anchor, kind_of, ladder_chart
 from econgs_bench.reports.sections.ladders.conclusion import by_method, contrasts, flickering, title, verdict
-from econgs_bench.reports.sections.ladders.table import Row, climbed, held, of_report
+from econgs_bench.reports.sections.ladders.table import EXPLOSION, LOSS, Row, climbed, held, of_report
 from econgs_bench.reports.sections.section import Page, Section
 from econgs_bench.reports.style import MISSING, absent, label, signed
 from econgs_bench.reports.tables.table import html_table
@@ -30,11 +30,11 @@ PICTURE_BYTES = 1_500_000
 _WORDS = (
     "A ladder leads from the usual run to one that no method may survive. A field is a rung above the "
     "usual run: green where it holds, else in the color of its break; of several scenes the gravest "
-    "counts. A rung breaks where a step fails or where, against the usual run, PSNR falls by 3 dB "
+    f"counts. A rung breaks where a step fails or where, against the usual run, PSNR falls by {LOSS:g} dB "
     "(quality), a fifth of the truth's alpha more is missing (vanishing parts; more than half of it: "
-    "collapse) or in excess (floaters), or there are more than 5 times the primitives (explosion). Where a "
-    "rung has other test pictures, its fall is that of the distance to the best method. Names lead to the "
-    "details."
+    f"collapse) or in excess (floaters), or there are more than {EXPLOSION:g} times the primitives "
+    "(explosion). Where a rung has other test pictures, its fall is that of the distance to the best method. "
+    "Names lead to the details."
 )
 _LADDER = ("ladder", "preset", "split", "requested_views")
 

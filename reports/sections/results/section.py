@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from econgs_bench.reports import markup
 from econgs_bench.reports.comparability import kind_of, rays_a_pixel, reason, replaced
+from econgs_bench.reports.floors import NEAR
 from econgs_bench.reports.schema import COLUMNS, METRICS, by_name, frame, records
 from econgs_bench.reports.sections.section import Page, Section
 from econgs_bench.reports.style import MISSING, absent, mean_key, model, models
@@ -60,7 +61,7 @@ def section(page: Page) -> Section | None:
 def _html(page: Page) -> str:
     report = page.report
     results, means = _chosen(report.measured), report.means
-    names = [n for n in numbers(results) if n in ("psnr", "size_bytes") or results[n].notna().any()]
+    names = numbers(results)
     writer = _Rows(report, names)
     columns = [by_name(name) for name in ("scene", "method", *names)]
     bodies = []
@@ -295,7 +296,7 @@ def _floors(report: Report) -> str:
     return (
         f'<details class="note"><summary>{title}</summary>'
         "<p>The truth of each scene, and one ray a pixel, against the same views rendered with other, more "
-        "rays: the floor. At 3 dB below it, half of a model's squared error is that of the truth.</p>"
+        f"rays: the floor. At {NEAR:g} dB below it, half of a model's squared error is that of the truth.</p>"
         f"{html_table(title, heads, ([escape(text) for text in line] for line in lines))}</details>"
     )
 

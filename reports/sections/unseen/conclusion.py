@@ -10,6 +10,7 @@ import numpy as np
 from econgs_bench.reports.schema import records
 from econgs_bench.reports.sections.volumes.conclusion import VOLUMES
 from econgs_bench.reports.style import MISSING, Model, model, signed
+from econgs_bench.reports.tables.protocols import comparable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -67,16 +68,16 @@ def targets(results: pd.DataFrame) -> list[Target]:
     ]
     keys = ["dataset", "preset", "split", "scene", "distance", "method", "variant", "rate"]
     means = shown.groupby(keys, sort=False, dropna=False)["psnr"].mean().reset_index()
-    several = [axis for axis in ("preset", "split") if means[axis].nunique() > 1]
     return [
         Target(
-            " \N{MIDDLE DOT} ".join([str(row["dataset"]), *(str(row[axis]) for axis in several)]),
+            panel,
             str(row["scene"]),
             model(row["method"], row["variant"]),
             float(row["distance"]),
             float(row["psnr"]),
         )
-        for row in records(means[means["rate"].isna()])
+        for panel, rows in comparable(means)
+        for row in records(rows[rows["rate"].isna()])
     ]
 
 

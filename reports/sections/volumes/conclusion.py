@@ -10,13 +10,12 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from econgs_bench.reports.charts.lines import Line
+from econgs_bench.reports.curves import Curve, need
 from econgs_bench.reports.fronts import interpolated
 from econgs_bench.reports.style import MIB, MISSING, Model, absent, mib
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from econgs_bench.reports.curves import Curve
 
 _GRID = re.compile(r"([^@,]+)(?:@(\d+))?(.*)")
 """Name of a field, its grid unless that is the usual one, and what else tells its rows from others."""
@@ -102,16 +101,11 @@ def payoffs(curves: dict[str, list[Curve]], sides: Mapping[str, float] | None = 
 
 def _payoff(dataset: str, volume: Curve, model: Curve, sides: Mapping[str, float]) -> Payoff:
     best = max(model.points, key=lambda point: point.psnr)
-    spots = volume.spots
-    needed, bound = spots[0][0], "below"
-    if best.psnr > spots[0][1]:
-        needed, bound = spots[-1][0], "above"
-        for (low, worse), (high, better) in pairwise(spots):
-            if worse < best.psnr <= better:
-                share = (best.psnr - worse) / (better - worse)
-                needed, bound = low * (high / low) ** share, ""
-                break
-    meeting = _meeting(spots, model.spots)
+    enough = need(volume, best.psnr)
+    needed, bound = volume.points[-1].bytes, "above"
+    if enough is not None:
+        needed, bound = enough.bytes, "below" if enough.bound else ""
+    meeting = _meeting(volume.spots, model.spots)
     grid = _grid(dataset, sides)
     return Payoff(dataset, volume, model, best.bytes, best.psnr, needed, bound, meeting, grid)
 

@@ -11,6 +11,7 @@ from econgs_bench.reports.sections.ladders.breaks import breaks_of, draw_breaks,
 from econgs_bench.reports.sections.ladders.conclusion import by_method
 from econgs_bench.reports.sections.ladders.strips import Flicker
 from econgs_bench.reports.sections.ladders.table import climbed, ladders
+from tests.reports.pictures.test_panels import pictures_of, texts_of
 from tests.reports.sections.ladders.test_strips import views
 from tests.reports.sections.ladders.test_table import table
 
@@ -77,12 +78,12 @@ def test_flicker_has_a_picture_of_each_method() -> None:
     pair = Flicker("vortices/cores", ("v1", "v2"), picture, changes, dict.fromkeys(changes, 2.5))
     figure = draw_flicker(pair)
     assert len(boxes_of(figure)) == 3
-    assert {"truth", "3DGS: 2.50", "HAC: 2.50"} <= {text for text, _ in figure.texts}
+    assert {"truth", "3DGS: 2.50", "HAC: 2.50"} <= {text for text, _ in texts_of(figure)}
 
 
 def boxes_of(sheet):
     """Places of the pictures, each of which is inside the sheet, no two alike."""
-    boxes = sheet.pictures
-    assert all(0 <= a < c <= sheet.width and 0 <= b < d <= sheet.height for a, b, c, d in boxes)
+    boxes, right, bottom = pictures_of(sheet), 72 * sheet.width, 72 * sheet.height
+    assert all(0 <= a < c <= right and 0 <= b < d <= bottom for a, b, c, d in boxes)
     assert len(set(boxes)) == len(boxes)
     return boxes

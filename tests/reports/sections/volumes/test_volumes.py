@@ -34,6 +34,7 @@ VOLUME = curve("sz3", [1e3, 1e4, 1e5], [20.0, 40.0, 90.0])
         (1e3, 30.0, 10**3.5, "", True),
         (1e6, 65.0, 10**4.5, "", False),
         (5e2, 15.0, 1e3, "below", False),  # a smaller volume may do
+        (5e2, 20.0, 1e3, "", True),
         (1e4, 95.0, 1e5, "above", True),
     ],
 )
