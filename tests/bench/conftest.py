@@ -15,6 +15,7 @@ import numpy as np
 import psutil
 import pytest
 
+from econgs_bench.bench.__main__ import main
 from econgs_bench.bench.jobs.measure import MeasureResult
 from econgs_bench.bench.plan.planner import Planner
 from econgs_bench.bench.plan.selection import Selection
@@ -205,7 +206,8 @@ class Bench:
         self, suite: str, *more: object, report: bool = False, code: int = 0
     ) -> subprocess.CompletedProcess[str]:
         quick = () if report else ("--no-report",)
-        return self("run", suite, "--plugins", self.plugins, "--out", self.store, *quick, *more, code=code)
+        command = self.command("run", suite, "--plugins", self.plugins, "--out", self.store, *quick, *more)
+        return self._finish(command, code)
 
     def plan(self, scene: str, out: Path, *more: object) -> str:
         """What ``bench plan`` prints of the method fake."""
@@ -246,6 +248,28 @@ class Bench:
 @pytest.fixture
 def bench(tmp_path: Path, dataset: Path) -> Bench:
     return Bench(tmp_path, dataset)
+
+
+@pytest.fixture
+def inside(bench: Bench, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    """Commands other than runs end in this process: no interpreter starts, and nothing is imported again."""
+    for name in ("BENCH_LOCKS", "BENCH_CACHE", "TORCH_HOME", "XDG_STATE_HOME"):
+        monkeypatch.setenv(name, bench.environment[name])
+    monkeypatch.delenv("BENCH_DATA", raising=False)
+    monkeypatch.chdir(bench.store.parent)
+
+    def call(self: Bench, *arguments: object, code: int | None = 0) -> subprocess.CompletedProcess[str]:
+        words = [*map(str, arguments)]
+        capfd.readouterr()
+        try:
+            found = main(words)
+        except SystemExit as end:
+            found = int(end.code or 0)
+        done = subprocess.CompletedProcess(words, found, *capfd.readouterr())
+        assert code in (found, None), done.stdout + done.stderr
+        return done
+
+    monkeypatch.setattr(Bench, "__call__", call)
 
 
 @pytest.fixture(scope="session")

@@ -90,7 +90,7 @@ def test_print_options_of_other_libraries_leave_tables_as_they_are(packed):
         np.set_printoptions(**before)
 
 
-def test_bundles_are_merged_like_stores(bench, packed, finished, tmp_path):
+def test_bundles_are_merged_like_stores(bench, inside, packed, finished, tmp_path):
     bench("merge", packed, "--out", tmp_path / "all")
     assert rows(tmp_path / "all") == rows(finished.store)
     # A bundle lacks the jobs' files: the disk that they need cannot be estimated.
@@ -102,7 +102,7 @@ def test_bundles_are_merged_like_stores(bench, packed, finished, tmp_path):
 
 
 @pytest.fixture
-def unpacked(bench, finished, tmp_path):
+def unpacked(bench, inside, finished, tmp_path):
     """A store that has the finished one's records alone."""
     path = tmp_path / "numbers.zip"
     write_bundle(Store(finished.store), path)
@@ -167,7 +167,7 @@ def test_bundles_made_before_a_column_came_in_still_hold(packed, tmp_path):
     ]
 
 
-def test_the_command_says_what_does_not_hold(bench, packed, tmp_path):
+def test_the_command_says_what_does_not_hold(bench, inside, packed, tmp_path):
     assert bench("verify", packed).stdout.rstrip() == f"{packed}: all of it holds"
     changed = rewritten(packed, tmp_path, lambda files: files.pop(first(files, "tables/", ".csv")))
     assert "missing" in bench("verify", changed, code=1).stderr

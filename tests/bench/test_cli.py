@@ -242,6 +242,7 @@ def test_a_torn_record_is_one_line_wherever_it_is_met(finished, tmp_path, monkey
         ["results", "--runs", store],
         ["report", "--runs", store],
         ["merge", store, "--out", "all"],
+        ["bundle", "--runs", store, "--out", "b.zip"],
     ):
         assert main(arguments) == 0
         (line,) = capsys.readouterr().err.splitlines()
@@ -322,7 +323,8 @@ def test_units_of_limits() -> None:
     ]  # fmt: skip
 
 
-def test_doctor_names_what_is_missing(bench) -> None:
+def test_doctor_names_what_is_missing_in_any_encoding(bench) -> None:
+    bench.environment["PYTHONIOENCODING"] = "ascii"
     done = bench("doctor")
     names = ("Python", "torch", "native core", "Mitsuba", "GPU", "LPIPS weights", "data", "cache", "disk")
     for name in names:

@@ -137,7 +137,7 @@ def test_a_composition_of_part_of_a_group(suite, tmp_path) -> None:
     assert (row["group_seconds"], row["train_seconds"]) == (seconds, pytest.approx(seconds * 2 / 3))
 
 
-def test_scenes_are_composed_measured_and_refused(bench, suite) -> None:
+def test_scenes_are_composed_measured_and_refused(bench, inside, suite) -> None:
     """A whole run: a method that composes, and one whose groups cannot be rendered together."""
     for method in ("fake", "fake-joint"):
         done = bench.run_suite(suite(), "--composed", "--method", method)

@@ -109,6 +109,7 @@ def test_ctrl_c_checkpoints_and_resumes(bench, hold, undisturbed, number) -> Non
     assert not list((bench.store / "partial").iterdir())
 
 
+@pytest.mark.parametrize("hold", ["fake"], indirect=True)
 def test_a_run_under_nohup_outlives_its_terminal(bench, hold) -> None:
     process = hold.start(bench, "nohup")
     process.send_signal(signal.SIGHUP)

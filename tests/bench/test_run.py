@@ -21,10 +21,11 @@ from .conftest import Bench, suite_file
 
 @pytest.mark.parametrize("executor", [(), ("--executor", "dask", "--workers", 1)], ids=["local", "dask"])
 def test_a_wait_for_the_machine_is_printed(bench, executor) -> None:
+    """Of a run with ``--split val``: every tenth view is left out of it."""
     locks = bench.store.parent / "locks"
     locks.mkdir()
     with FileLock(locks / "econgs-bench-timing.lock"):
-        run = bench.start(*executor)
+        run = bench.start("--split", "val", *executor)
         text = ""
         while "waiting for another timed job on this machine" not in text:
             line = run.stdout.readline()
@@ -32,9 +33,14 @@ def test_a_wait_for_the_machine_is_printed(bench, executor) -> None:
             text += line
         assert "[2/4] fit" in text
     assert run.wait(bench.patience) == 0, run.stdout.read()
+    (row,) = bench.tables()["results"].to_dict("records")
+    assert row["split"] == "val"
+    assert row["train_views"] == 11
+    (measure,) = bench.of_kind("measure")
+    assert [view.view for view in measure.result.views] == ["r_0009"]
 
 
-def test_a_run_measures_reports_and_does_nothing_twice(bench) -> None:
+def test_a_run_measures_reports_and_does_nothing_twice(bench, inside) -> None:
     first = bench.run(scenes=("a", "b"), report=True)
     assert (bench.store / "report.html").stat().st_size > 0
     assert str(bench.store / "report.html") in first.stdout
@@ -122,15 +128,6 @@ def test_memory_of_loading_is_part_of_that_of_rendering(finished) -> None:
     assert 2**24 < row["load_host_bytes"] <= row["render_host_bytes"]
 
 
-def test_every_tenth_view_is_left_out_with_split_val(bench) -> None:
-    bench.run("--split", "val")
-    (row,) = bench.tables()["results"].to_dict("records")
-    assert row["split"] == "val"
-    assert row["train_views"] == 11
-    (measure,) = bench.of_kind("measure")
-    assert [view.view for view in measure.result.views] == ["r_0009"]
-
-
 @pytest.mark.parametrize("method", [pytest.param("fake", marks=pytest.mark.slow), "fake-torch"])
 def test_failures_are_rows_and_the_rest_goes_on(bench, method) -> None:
     wrong = ("--set", f"{method}.behaviour=abort", "--set", f"{method}.only=a")
@@ -161,10 +158,11 @@ ENDS = {
 
 @pytest.fixture(scope="module")
 def ends(dataset, tmp_path_factory) -> tuple[Bench, CompletedProcess[str]]:
-    """A store, and the run of it in which every fit ends in another way."""
+    """A store, and the run of it in which every fit ends in another way, on one thread."""
     bench = Bench(tmp_path_factory.mktemp("ends"), dataset)
-    variants = ", ".join(f'{{ fake = {{ behaviour = "{behaviour}" }} }}' for behaviour in ENDS)
-    suite = suite_file(bench.store.parent, f'"{dataset}" = ["a"]', f"variants = [{variants}]")
+    variants = ", ".join(f'{{ fake = {{ behaviour = "{behaviour}" }} }}' for behaviour in [*ENDS, "ledger"])
+    more = f"variants = [{variants}]\nthreads = 1"
+    suite = suite_file(bench.store.parent, f'"{dataset}" = ["a"]', more)
     return bench, bench.run_suite(suite, code=1)
 
 
@@ -199,9 +197,14 @@ def _check_end(bench: Bench, fit: Record, done: CompletedProcess[str], status: s
     assert log.is_file()
 
 
-def test_a_ledger_that_does_not_sum_is_a_failure(bench) -> None:
-    bench.run("--set", "fake.behaviour=ledger", code=1)
-    (encode,) = bench.of_kind("encode")
+def test_a_suite_may_limit_the_threads_of_its_jobs(ends) -> None:
+    bench, _ = ends
+    assert {fit.provenance.threads for fit in bench.of_kind("fit") if fit.provenance} == {1}
+
+
+def test_a_ledger_that_does_not_sum_is_a_failure(ends) -> None:
+    bench, _ = ends
+    (encode,) = (one for one in bench.of_kind("encode") if one.job.overrides["behaviour"] == "ledger")
     assert encode.status == "failed"
     size = sum(f.stat().st_size for f in (bench.store / "jobs" / encode.job.id / "model").iterdir())
     assert f"sums to {size + 1} bytes, the saved files have {size}" in encode.reason
@@ -266,7 +269,7 @@ def test_rows_of_another_version_are_stale_and_changed_source_alone_is_not(finis
     assert (row["stale"], row["changes"]) == (True, "version 1 (today 2)")
 
 
-def test_pictures_of_truth_and_model_can_be_scored(finished) -> None:
+def test_pictures_of_truth_and_model_can_be_scored(finished, inside) -> None:
     bench = finished
     (measure,) = bench.of_kind("measure")
     out = bench.store.parent

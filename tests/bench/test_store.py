@@ -243,7 +243,7 @@ def test_another_renderer_of_the_truth_is_named() -> None:
     assert "mitsuba" in table.attrs["differences"][0]
 
 
-def test_merge_joins_and_prefers_success(finished, tmp_path) -> None:
+def test_merge_joins_and_prefers_success(finished, inside, tmp_path) -> None:
     bench = finished
     other = Bench(tmp_path / "other", bench.dataset)
     other.store.parent.mkdir()

@@ -213,11 +213,6 @@ def test_a_preset_that_cannot_be_is_refused_with_key_and_line(tmp_path, key, val
         load_suite(str(path))
 
 
-def test_a_suite_may_limit_the_threads_of_its_jobs(bench):
-    bench.run_suite(suite_file(bench.store.parent, f'"{bench.dataset}" = ["a"]', "threads = 1"))
-    assert {record.provenance.threads for record in bench.of_kind("fit")} == {1}
-
-
 def test_a_preset_of_a_name_of_its_own_takes_options_and_iterations_of_another(tmp_path):
     own = (
         'presets.small = { like = "quick", train_views = 6, test_views = 2, width = 8, height = 8,'

@@ -40,21 +40,23 @@ def hostile(finished: Bench, label: str) -> None:
 def _seeds(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     bench = Bench(tmp_path_factory.mktemp("seeds"), dataset)
     bench.run("--seed", 0, "--seed", 1, "--seed", 2)
+    bench("baseline", bench.store, "--out", bench.store.parent / "base.json", "--reason", "first")
     return bench.store
 
 
 @pytest.fixture
 def seeds(bench: Bench, _seeds: Path) -> Bench:
-    """A store of its own with three seeds of scene a."""
+    """A store of its own with three seeds of scene a, and its baseline beside it."""
     shutil.copytree(_seeds, bench.store)
+    shutil.copy(_seeds.parent / "base.json", bench.store.parent)
     return bench
 
 
 @pytest.mark.parametrize(
     ("what", "encoding"),
     [
-        *product(("list datasets", "list methods", "list metrics", "--help"), ("latin-1", "ascii", "cp1252")),
-        ("doctor", "ascii"),
+        *product(("list datasets", "list methods", "list metrics", "--help"), ("ascii",)),
+        *product(("list datasets",), ("latin-1", "cp1252")),
     ],
 )
 def test_every_encoding_shows_what_it_can(bench: Bench, what: str, encoding: str) -> None:
@@ -80,21 +82,20 @@ def test_a_run_in_ascii_prints_its_table_and_writes_its_page(bench: Bench) -> No
 @pytest.mark.parametrize("end", [">&-", ">/dev/full", "| true; exit ${PIPESTATUS[0]}"])
 def test_output_that_nobody_reads_is_an_exit_code_and_files_are_written(seeds: Bench, end: str) -> None:
     files = "--markdown gate.md --junit gate.xml --without-times"
-    assert shell(seeds, "$BENCH baseline --out base.json --reason first runs").returncode == 0
     done = shell(seeds, f"$BENCH gate --baseline base.json runs {files} {end}")
     assert done.returncode == LOST
     assert b"Traceback" not in done.stderr
     folder = seeds.store.parent
     ElementTree.parse(folder / "gate.xml")
     assert (folder / "gate.md").read_text(encoding="utf-8").startswith("### ")
-    done = shell(seeds, f"$BENCH report --runs runs --plugins {seeds.plugins} --out page {end}")
-    assert done.returncode == LOST
-    assert (folder / "page/report.html").is_file()
+    if end == ">/dev/full":  # a long output, which breaks off before its end
+        done = shell(seeds, f"$BENCH report --runs runs --plugins {seeds.plugins} --out page {end}")
+        assert done.returncode == LOST
+        assert (folder / "page/report.html").is_file()
 
 
 @pytest.mark.parametrize("file", ["--markdown", "--junit"])
 def test_a_gate_that_cannot_write_its_files_is_an_error_and_no_verdict(seeds: Bench, file: str) -> None:
-    assert shell(seeds, "$BENCH baseline --out base.json --reason first runs").returncode == 0
     done = shell(seeds, f"$BENCH gate --baseline base.json runs --without-times {file} none/here")
     assert done.returncode == 3
     assert done.stderr.count(b"\n") == 1
@@ -113,11 +114,11 @@ def test_jobs_go_on_without_a_reader(bench: Bench) -> None:
     assert [record.status for record in bench.records().values()] == ["ok"] * 4
 
 
-@pytest.mark.parametrize("label", ["\x1b]0;title\x07\x1b[2J", "<script>x</script>\u202e\x9b2J"])
-def test_a_label_is_no_command(seeds: Bench, capfdbinary, label: str) -> None:
+def test_a_label_is_no_command(seeds: Bench, capfdbinary) -> None:
+    label = "\x1b]0;title\x07\x1b[2J<script>x</script>\u202e\x9b2J"
     hostile(seeds, label)
     runs = str(seeds.store)
-    base = str(seeds.store.parent / "base.json")
+    base = str(seeds.store.parent / "labelled.json")
     junit, page = seeds.store.parent / "gate.xml", seeds.store.parent / "page"
     for arguments in (
         ["results", "--runs", runs],
