@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ METHODS = ("3dgs", "ivr-gs")
 SPECS = Registry().specs
 RATES = (None, 1.0, 2.0, 3.0)
 SEEDS = (0, 1, 2)
+LENGTHS = (None, 300)
 VIEWS = 6
 FLOOR = {"psnr": 52.5, "psnr_fg": 49.5, "ssim": 0.999, "flip": 0.002, "delta_e_uv": 0.05}
 ONE_RAY = {"psnr": 31.5, "psnr_fg": 28.5, "ssim": 0.95, "flip": 0.05, "delta_e_uv": None}
@@ -72,25 +74,29 @@ class Facts:
 Plant = Callable[[Facts], Facts]
 
 
-def every(plant: Plant) -> list[Record]:
-    """The records of both methods on four scenes with two seeds, at five rates and another length."""
+def every(
+    plant: Plant,
+    scenes: Sequence[str] = SCENES,
+    seeds: Sequence[int] = SEEDS,
+    rates: Sequence[float | None] = RATES,
+    lengths: Sequence[int | None] = LENGTHS,
+) -> list[Record]:
+    """The records of both methods; what was fitted for another length than the usual, None, has no rates."""
     records: dict[str, Record] = {}
     for method in METHODS:
-        for scene in SCENES:
-            for seed in SEEDS:
-                for length in (None, 300):
-                    for rate in RATES if length is None else (None,):
-                        facts = Facts(method, scene, seed, rate, length)
-                        facts = plant(facts) if method == METHODS[1] else facts
-                        for record in _of(facts) if facts.made else ():
-                            records[record.job.id] = record
+        for scene, seed, length in product(scenes, seeds, lengths):
+            for rate in rates if length is None else (None,):
+                facts = Facts(method, scene, seed, rate, length)
+                facts = plant(facts) if method == METHODS[1] else facts
+                for record in _of(facts) if facts.made else ():
+                    records[record.job.id] = record
     return list(records.values())
 
 
-def write(folder: Path, plant: Plant = lambda facts: facts) -> Store:
+def write(folder: Path, records: Iterable[Record]) -> Store:
     """A store with these records."""
     store = Store(folder, create=True)
-    for record in every(plant):
+    for record in records:
         store.finish(record)
     return store
 

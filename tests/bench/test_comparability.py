@@ -1,7 +1,12 @@
-"""No consumer compares what differs in silence: differences are planted, and each consumer is asked."""
+"""No consumer compares what differs in silence: differences are planted, and each consumer is asked.
+
+All plants are asked for the reason in words, which :mod:`.reports.comparability` gives. Consumers that only
+print it are asked with one plant of each kind of remark.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import tomllib
@@ -9,6 +14,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
 
 import pandas as pd
 import pytest
@@ -21,7 +28,7 @@ from econgs_bench.bench.results.tables import _rivals_together, build_tables, de
 from econgs_bench.bench.store.lineage import Lineage
 from econgs_bench.bench.store.store import Store
 from econgs_bench.methods.registry import Registry
-from econgs_bench.reports.charts import svg
+from econgs_bench.reports.charts import files, svg
 from econgs_bench.reports.comparability import compared, kind_of, sentences
 from econgs_bench.reports.page.document import write_report
 from econgs_bench.reports.report import Report
@@ -50,12 +57,14 @@ class Planted:
         plant: makes it in the rows of one method.
         words: pattern of the reason that consumers give.
         pictures, times: whether pictures, and times, of both methods are still compared.
+        told: whether it stands for all plants of its kind of remark with consumers that print remarks.
     """
 
     plant: Plant
     words: str
     pictures: bool = False
     times: bool = False
+    told: bool = False
 
 
 def of(**changes: object) -> Plant:
@@ -67,32 +76,41 @@ def where(condition: Callable[[Facts], bool], **changes: object) -> Plant:
 
 
 PLANTS = {
-    "truth": Planted(of(content="c1"), "another content"),
+    "truth": Planted(of(content="c1"), "another content", told=True),
     "definition of a scene": Planted(
         where(lambda f: f.scene == "TF02", content="c1"), "another content: TF02", pictures=True, times=True
     ),
-    "split": Planted(of(split="val"), "across splits"),
+    "split": Planted(of(split="val"), "across splits", told=True),
     "number of views": Planted(of(test_views=4, views=(0, 1, 2, 3)), "4 test views"),
     "one view less": Planted(of(views=tuple(range(VIEWS - 1))), f"{VIEWS - 1} test views"),
-    "other views": Planted(of(test_views=7, views=tuple(range(1, 7))), "another truth"),
+    "other views": Planted(of(test_views=7, views=tuple(range(1, 7))), "another truth", told=True),
     "resolution": Planted(of(size=100), "100 .{1,9} 100"),
     "samples": Planted(of(samples=1), "one ray a pixel"),
-    "metric version": Planted(of(metrics={"psnr": "2", "ssim": "1"}), "another metric: version", times=True),
+    "metric version": Planted(
+        of(metrics={"psnr": "2", "ssim": "1"}), "another metric: version", times=True, told=True
+    ),
     "ruler": Planted(of(ruler=1), "another ruler", pictures=True),
-    "processor": Planted(of(cpu="Xeon"), "elsewhere: .*Xeon", pictures=True),
-    "threads": Planted(of(threads=2), "elsewhere: .*threads", pictures=True),
+    "processor": Planted(of(cpu="Xeon"), "elsewhere: .*Xeon", pictures=True, told=True),
+    "threads": Planted(of(threads=2), "other threads: timed with", pictures=True),
     "device": Planted(of(device="cuda"), "fitted on cuda"),
     "busy machine": Planted(of(kernel=0.09), "disturbed", pictures=True),
-    "uneven frames": Planted(of(spread=3.0), "disturbed", pictures=True),
-    "set of seeds": Planted(where(lambda f: f.seed == 1, made=False), "seeds differ", True, True),
-    "set of scenes": Planted(where(lambda f: f.scene == "TF04", made=False), "scenes differ", True, True),
-    "method version": Planted(where(lambda f: f.seed == 1, version="0"), "another version", True, True),
+    "uneven frames": Planted(of(spread=3.0), "disturbed", pictures=True, told=True),
+    "set of seeds": Planted(where(lambda f: f.seed == 1, made=False), "seeds differ", True, True, True),
+    "set of scenes": Planted(
+        where(lambda f: f.scene == "TF04", made=False), "scenes differ", True, True, True
+    ),
+    "method version": Planted(where(lambda f: f.seed == 1, version="0"), "another version", True, True, True),
     "stale option": Planted(
         where(lambda f: f.seed == 1, options={"sh_degree": 7}), "another version: sh_degree", True, True
     ),
     "renderer that disagrees": Planted(of(renderer="reference 1", shade=0.52), "pictures of reference 1"),
     "truth unknown": Planted(of(known=False), "truth unknown"),
 }
+FEW: dict[str, Any] = {"rates": (None, 1.0), "lengths": (None,)}
+"""Rows that stores hold: they are compared one by one."""
+of_each_kind = pytest.mark.parametrize(
+    "planted", [name for name, case in PLANTS.items() if case.told], indirect=True
+)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -105,18 +123,20 @@ def _quick() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def clean(tmp_path_factory) -> Store:
-    return write(tmp_path_factory.mktemp("clean") / "s")
+    return write(tmp_path_factory.mktemp("clean") / "s", every(lambda facts: facts, **FEW))
 
 
 @pytest.fixture(scope="module", params=PLANTS)
 def planted(request, tmp_path_factory) -> tuple[Planted, Store, Report]:
-    planted = PLANTS[request.param]
-    store = write(tmp_path_factory.mktemp("planted") / "s", planted.plant)
-    return planted, store, Report(build_tables(store, Registry().specs, write=False))
+    """A plant, a store of few rows with it, and the report of all rows with it."""
+    case = PLANTS[request.param]
+    store = write(tmp_path_factory.mktemp("planted") / "s", every(case.plant, **FEW))
+    return case, store, Report(derived(Lineage(every(case.plant)), Registry().specs))
 
 
-def test_a_clean_store_has_no_remark_and_compares_all(clean) -> None:
-    report = Report(build_tables(clean, Registry().specs, write=False))
+def test_a_clean_store_has_no_remark_and_compares_all(tmp_path) -> None:
+    store = write(tmp_path / "s", every(lambda facts: facts))
+    report = Report(build_tables(store, Registry().specs, write=False))
     assert report.remarks == []
     assert report.tables["differences"].empty
     (contest,) = contest_of(report)
@@ -134,6 +154,11 @@ def test_renderers_that_agree_are_one_truth() -> None:
     report = Report(derived(Lineage(records), Registry().specs))
     assert report.results["truth"].nunique() == len(SCENES)
     assert report.remarks == []
+
+
+def test_a_remark_has_the_reason(planted) -> None:
+    case, _, report = planted
+    assert any(_has(case, remark.text) for remark in report.remarks)
 
 
 def test_conclusions_leave_it_out(planted) -> None:
@@ -212,21 +237,24 @@ def _fit(row) -> tuple:
 
 
 def test_no_row_is_lost(planted) -> None:
-    _, store, report = planted
-    measured = [record.job.id for record in store.records() if record.job.kind == "measure"]
+    case, _, report = planted
+    measured = [record.job.id for record in every(case.plant) if record.job.kind == "measure"]
     assert sorted(report.measured["job"]) == sorted(measured)
 
 
-def test_the_page_and_its_files_give_the_reason(planted, tmp_path) -> None:
+@of_each_kind
+def test_the_page_and_its_files_give_the_reason(planted, tmp_path, monkeypatch) -> None:
     case, store, report = planted
+    monkeypatch.setattr(files, "output", lambda folder: contextlib.nullcontext(Mock()))
     page = write_report(report.stored, store.root, tmp_path / "r.html", report=report)
-    files = ["r.html", "results.md", "results.tex"]
+    names = ["r.html", "results.md", "results.tex"]
     if not report.tables["differences"].empty:
-        files.append("differences.csv")
-    for name in files:
+        names.append("differences.csv")
+    for name in names:
         assert _has(case, (page.parent / name).read_text(encoding="utf-8")), name
 
 
+@of_each_kind
 def test_the_terminal_and_python_give_the_reason(planted, capsys) -> None:
     case, store, report = planted
     print_answers(report)
@@ -234,6 +262,7 @@ def test_the_terminal_and_python_give_the_reason(planted, capsys) -> None:
     assert any(_has(case, text) for text in Runs(store.root).remarks)
 
 
+@of_each_kind
 def test_charts_give_the_reason(planted) -> None:
     """Every chart that would have compared what differs."""
     case, _, report = planted
@@ -244,6 +273,7 @@ def test_charts_give_the_reason(planted) -> None:
     assert any(_has(case, re.sub(r"\s+", " ", re.sub("<[^>]*>", " ", text))) for text in texts)
 
 
+@of_each_kind
 def test_the_papers_tables_give_the_reason(planted) -> None:
     case, _, report = planted
     papers = [one for one in paper_tables(report.stored, report.views) if one.name == "univariate"]
@@ -285,6 +315,7 @@ def test_the_gate_gives_the_reason(planted, baseline, capsys) -> None:
     assert not code or label(OURS) in out
 
 
+@of_each_kind
 def test_the_documentation_gives_the_reason(planted, generate, tmp_path, monkeypatch) -> None:
     case, store, _ = planted
     write_bundle(store, tmp_path / "planted.zip.xz")

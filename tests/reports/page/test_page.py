@@ -3,6 +3,7 @@ import html
 import json
 import re
 from collections import Counter
+from collections.abc import Iterator
 from html.parser import HTMLParser
 from itertools import pairwise
 from unittest.mock import Mock, patch
@@ -65,13 +66,21 @@ class Outline(HTMLParser):
             self.text.append(data)
 
 
-def page(maker, draw: bool = False) -> tuple[str, str]:
-    """The page's source and its text; the charts for papers take seconds and are drawn if asked for."""
-    with contextlib.ExitStack() as stack:
-        if not draw:
-            stack.enter_context(patch.object(files, "output", return_value=contextlib.nullcontext(Mock())))
-            stack.enter_context(patch.object(panel_files, "write", return_value="panel"))
-        path = write_report(maker.tables(), maker.root, maker.root / "report.html")
+@contextlib.contextmanager
+def undrawn() -> Iterator[Mock]:
+    """Reports without charts and panels for papers, which take seconds; yields what panels are given to."""
+    with (
+        patch.object(files, "output", return_value=contextlib.nullcontext(Mock())),
+        patch.object(panel_files, "write", return_value="panel") as write,
+    ):
+        yield write
+
+
+def page(maker, draw: bool = False, tables=None) -> tuple[str, str]:
+    """The page's source and its text, of the maker's tables if of no others."""
+    with contextlib.nullcontext() if draw else undrawn():
+        tables = maker.tables() if tables is None else tables
+        path = write_report(tables, maker.root, maker.root / "report.html")
     assert path.stat().st_size < 5e6
     return content(path)
 

@@ -10,8 +10,10 @@ import pytest
 from econgs_bench.bench.jobs.scene_views import transfer_summary
 from econgs_bench.datasets.catalogue import open_dataset
 from econgs_bench.reports.page.document import write_report
+from econgs_bench.reports.pictures import panel_files
 from econgs_bench.reports.pictures.transfer import transfer_picture
 from tests.reports.conftest import frame
+from tests.reports.page.test_page import undrawn
 
 RED, BLUE = [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]
 
@@ -69,13 +71,20 @@ def test_what_a_scene_shows() -> None:
     ]
 
 
-def test_the_page_has_it_beside_the_ground_truth(maker, tmp_path) -> None:
+def drawn(maker, tables) -> tuple[int, int]:
+    """The transfer functions of a page, and the pictures of its panels for papers."""
+    with undrawn() as panels:
+        page = write_report(tables, maker.root, maker.root / "report.html").read_text(encoding="utf-8")
+    sheet = panel_files.draw(*panels.call_args.args[:2])
+    return page.count('class="tf"'), sheet.document.count("<image ")
+
+
+def test_the_page_and_panels_have_it_beside_the_ground_truth(maker) -> None:
     maker.run()
     tables = maker.tables()
-    assert 'class="tf"' not in write_report(tables, maker.root, tmp_path / "a.html").read_text(
-        encoding="utf-8"
-    )
+    none, pictures = drawn(maker, tables)
+    assert none == 0
     row = {"dataset": "vortex", "scene": "tf0", "preset": "quick", "split": "test"}
     tables["scenes"] = frame("scenes", [row | {"transfer": transfers(a={"transfer": [[*RED, 1.0]] * 2})}])
-    page = write_report(tables, maker.root, tmp_path / "b.html").read_text(encoding="utf-8")
-    assert page.count('class="tf"') >= 1
+    views = 2  # the worst and the median one
+    assert drawn(maker, tables) == (views, pictures + views)

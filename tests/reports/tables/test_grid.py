@@ -6,6 +6,7 @@ from econgs_bench.bench.commands.results import print_results, print_stored
 from econgs_bench.reports.schema import TABLES
 from econgs_bench.reports.tables.grid import Field, needed, to_lines
 from econgs_bench.reports.terminal import print_prose
+from tests.reports.conftest import Maker
 
 LABEL = "all light=1,0,0 ambient=1.5 diffuse=1.5 specular=1.5 palette=#2060e0 | light=1,0,0 opacity=0.3"
 JOBS = ["measure-0123456789abcdef", "measure-fedcba9876543210"]
@@ -60,17 +61,24 @@ def _terminal(monkeypatch, columns):
     monkeypatch.setattr("sys.stdout.isatty", lambda: columns is not None)
 
 
-@pytest.mark.parametrize(("columns", "terminal"), [(80, True), (120, True), (120, False)])
-@pytest.mark.parametrize("name", TABLES)
-def test_every_table_of_a_store_fits(maker, monkeypatch, capsys, name, columns, terminal):
-    """With two datasets, seeds, edits, failures and variants; in a file as wide as 120 columns."""
-    _terminal(monkeypatch, columns if terminal else None)
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory):
+    """With two datasets, seeds, edits, failures and variants."""
+    maker = Maker(tmp_path_factory.mktemp("store"))
     for seed in (0, 1):
         for dataset in ("isabel_wind_of_2003", "b"):
             maker.run(dataset, LABEL, method="3dgs-coded", variant="iterations=300,samples=16", seed=seed)
             maker.run(dataset, "a", method="hac", seed=seed, psnr=100.0, fps=123456.0)
     maker.run("b", "c", status="failed", reason="a reason of many words " * 8)
-    table = maker.tables()[name]
+    return maker.tables()
+
+
+@pytest.mark.parametrize(("columns", "terminal"), [(80, True), (120, True), (120, False)])
+@pytest.mark.parametrize("name", TABLES)
+def test_every_table_of_a_store_fits(tables, monkeypatch, capsys, name, columns, terminal):
+    """In a file as wide as 120 columns."""
+    _terminal(monkeypatch, columns if terminal else None)
+    table = tables[name].copy()
     print_results(table, jobs=True) if name == "results" else print_stored(name, table)
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= columns

@@ -4,7 +4,6 @@ import pandas as pd
 import pytest
 
 from econgs_bench.reports.comparability import judged, notes
-from econgs_bench.reports.page.document import write_report
 from econgs_bench.reports.style import mib, seconds
 from econgs_bench.reports.tables.columns import quality
 from econgs_bench.reports.tables.documents import to_latex, to_markdown
@@ -13,6 +12,7 @@ from econgs_bench.reports.tables.means import summary
 from econgs_bench.reports.tables.ranks import ranks
 from econgs_bench.reports.tables.results import display, for_terminal
 from tests.reports.conftest import NO_LPIPS, fill
+from tests.reports.page.test_page import page
 
 
 def test_summary_means_quality_and_sums_sizes_and_times(maker):
@@ -161,7 +161,7 @@ def test_scores_without_a_metric_say_so_once():
         assert "31.00" in text
 
 
-def test_times_of_several_processors_have_a_warning(maker, tmp_path) -> None:
+def test_times_of_several_processors_have_a_warning(maker) -> None:
     for scene, isa in (("a", ", avx2"), ("b", ", avx512"), ("c", ""), ("d", ", avx512")):
         maker.run(scene=scene, processor=f"EPYC, 2 cores{isa}", fit_processor="EPYC, 2 cores, avx2")
     tables = maker.tables()
@@ -170,7 +170,7 @@ def test_times_of_several_processors_have_a_warning(maker, tmp_path) -> None:
     assert note.count("EPYC, 2 cores") == 2, "without the name that lacks the instruction set"
     assert {"avx2", "avx512"} <= set(re.findall(r"\w+", note))
     assert note in to_markdown(tables["results"])
-    assert note in write_report(tables, maker.root, tmp_path / "r.html").read_text(encoding="utf-8")
+    assert note in page(maker, tables=tables)[0]
     assert list(tables["results"]["differences"].map(bool)) == [True, False, False, False]
 
 

@@ -3,11 +3,11 @@
 import pytest
 
 from econgs_bench.reports.curves import Curve, Point
-from econgs_bench.reports.page.document import write_report
 from econgs_bench.reports.report import Report
 from econgs_bench.reports.schema import PRUNED
 from econgs_bench.reports.sections.economy import conclusion as economy
 from econgs_bench.reports.style import MISSING, Model
+from tests.reports.page.test_page import page
 
 
 def curve(*points):
@@ -99,16 +99,15 @@ def test_growth_is_not_told_of_volumes_within_a_factor_of_ten(spent):
     assert "ten times the bytes" not in economy.conclusion(economy.of_report(Report(spent)))
 
 
-def test_the_page_has_them(spent, maker, tmp_path):
-    page = write_report(spent, maker.root, tmp_path / "report.html").read_text(encoding="utf-8")
-    section = page[page.index('id="economy"') :]
+def test_the_page_has_them(spent, maker):
+    source, _ = page(maker, tables=spent)
+    section = source[source.index('id="economy"') :]
     assert "25.0 (0.25 \N{MULTIPLICATION SIGN})" in section
 
 
-def test_without_the_facts_there_is_no_section(maker, tmp_path):
+def test_without_the_facts_there_is_no_section(maker):
     maker.run("a", "tf", "hac", psnr=34.0)
     tables = maker.tables()
     tables.pop("complexity")
     tables["results"] = tables["results"].drop(columns=["gaussians", *PRUNED])
-    page = write_report(tables, maker.root, tmp_path / "report.html").read_text(encoding="utf-8")
-    assert 'id="economy"' not in page
+    assert 'id="economy"' not in page(maker, tables=tables)[0]

@@ -7,12 +7,11 @@ import re
 import pytest
 
 from econgs_bench.reports.family import Family
-from econgs_bench.reports.page.document import write_report
 from econgs_bench.reports.report import Report
 from econgs_bench.reports.schema import frame
 from econgs_bench.reports.sections.ladders import section as ladders
 from econgs_bench.reports.sections.section import Page
-from tests.reports.page.test_page import Outline, content
+from tests.reports.page.test_page import Outline, page
 from tests.reports.sections.ladders.test_table import table
 
 RUNGS = [
@@ -45,7 +44,7 @@ def tables(maker):
 
 
 def test_heads_of_the_heat_map_lead_to_methods_and_ladders(maker, tables) -> None:
-    source, text = content(write_report(tables, maker.root, maker.root / "report.html"))
+    source, text = page(maker, tables=tables)
     outline = Outline(source)
     assert {"method-3dgs", "method-hac", "ladder-noise"} <= outline.references
     assert outline.references <= set(outline.ids)

@@ -165,24 +165,29 @@ def test_scenes_and_their_composition_have_lines_of_their_own():
 
 
 def test_meshes_have_triangles_and_rendering_has_memory_of_its_own():
-    of = {"dataset": "jet_flame_iso"}
-    memory = {"render_host_bytes": 2**29, "peak_host_bytes": 2**31}
-    rows = [row(scene=name, primitives=700, **of, **memory) for name in ("low", "middle", "high")]
-    rows += [
-        row("mesh", name, primitives=count, variant=variant, **of)
-        for name in ("low", "middle", "high")
-        for variant, count in (("configuration=paper", 4_000_000), ("", 2_000_000))
+    """The paper's meshes are whole and plain; triangles are no anchors."""
+    shared = {"dataset": "jet_flame_iso", "render_host_bytes": 2**29, "peak_host_bytes": 2**31}
+    scenes = (("low", "basic", 1), ("middle", "basic", 1), ("high", "basic", 1), ("all", "composed", 2))
+    models = (("mesh", "configuration=paper", 4_000_000), ("mesh", "", 2_000_000), ("econgs", "", 700))
+    rows = [
+        row(method, scene, variant=variant, primitives=count * times, kind=kind, **shared)
+        for scene, kind, times in scenes
+        for method, variant, count in models
     ]
-    rows += [row("mesh", "all", kind="composed", primitives=6_000_000, **of)]
     (block,) = blocks(results(*rows), "isosurface")
-    plain, coded = line(block, "low, triangle mesh"), line(block, "low, triangle mesh, reduced and coded")
-    assert (plain.values["triangles"].mean, plain.values["triangles"].published) == (4.0, 17.1)
-    assert (coded.values["triangles"].mean, coded.values["triangles"].published) == (2.0, None)
-    assert line(block, "composed, triangle mesh, reduced and coded").values["triangles"].mean == 6.0
-    ours = line(block, "low, ECoNGS-R").values
-    assert ours["triangles"].mean is None, "anchors are no triangles"
-    assert (ours["render_host_bytes"].mean, ours["render_host_bytes"].published) == (0.5, 7.61)
-    assert ours["render_device_bytes"].mean is None
+    assert block.published == "combustion (MF), isosurfaces"
+    kinds = ("triangle mesh", "triangle mesh, reduced and coded", "ECoNGS-R")
+    low, composed = ([line(block, f"{of}, {kind}").values for kind in kinds] for of in ("low", "composed"))
+    assert [one["triangles"].mean for one in low] == [4.0, 2.0, None]
+    assert [one["triangles"].published for one in low] == [17.1, None, None]
+    assert [one["triangles"].mean for one in composed] == [8.0, 4.0, None]
+    assert [one["triangles"].published for one in composed] == [53.9, None, None]
+    assert not any("Triangles" in remark for remark in block.remarks)
+    assert [one["render_host_bytes"].mean for one in low] == [0.5] * 3
+    assert [one["render_host_bytes"].published for one in composed] == [4.92, None, 7.63]
+    assert low[2]["render_host_bytes"].published == 7.61
+    assert low[2]["render_device_bytes"].mean is None
+    assert composed[0]["size_bytes"].published == 1002.9
 
 
 def test_basic_scenes_and_compositions_of_veg():
@@ -437,29 +442,6 @@ def test_every_layout_row_with_a_published_one_finds_it():
             assert not match or any(all(r[k] == v for k, v in match.items()) for r in reference_rows(name)), (
                 one
             )
-
-
-def test_triangle_meshes_have_their_rows_beside_the_papers():
-    """The paper's meshes are whole and plain; triangles are no anchors."""
-    shared = {"dataset": "jet_flame_iso", "peak_host_bytes": 2**29}
-    rows = [
-        row(method, scene, variant=variant, primitives=count, kind=kind, **shared)
-        for scene, kind in (("low", "basic"), ("middle", "basic"), ("high", "basic"), ("all", "composed"))
-        for method, variant, count in (
-            ("mesh", "configuration=paper", 23_000), ("mesh", "", 11_500), ("econgs", "", 900)
-        )
-    ]  # fmt: skip
-    (block,) = blocks(results(*rows), "isosurface")
-    assert block.published == "combustion (MF), isosurfaces"
-    whole, fewer, splats = (line(block, f"composed, {kind}").values for kind in KINDS)
-    assert [one["triangles"].mean for one in (whole, fewer, splats)] == [0.023, 0.0115, None]
-    assert [one["triangles"].published for one in (whole, fewer, splats)] == [53.9, None, None]
-    assert [one["render_host_bytes"].published for one in (whole, fewer, splats)] == [4.92, None, 7.63]
-    assert whole["size_bytes"].published == 1002.9
-    assert not any("Triangles" in remark for remark in block.remarks)
-
-
-KINDS = ("triangle mesh", "triangle mesh, reduced and coded", "ECoNGS-R")
 
 
 @pytest.mark.parametrize(

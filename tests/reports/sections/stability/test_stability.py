@@ -2,10 +2,11 @@
 
 import pytest
 
-from econgs_bench.reports.page.document import write_report
+from econgs_bench.reports.sections.order import charts
 from econgs_bench.reports.sections.stability import table as stability
 from econgs_bench.reports.tables.means import summary
 from econgs_bench.reports.tables.protocols import by_training_views
+from tests.reports.page.test_page import page
 
 
 @pytest.fixture
@@ -67,7 +68,7 @@ def test_records_tell_failures_seeds_and_worst_views(few) -> None:
     assert records["bubble, 6 views", "HAC"].seed_gap is None
 
 
-def test_missing_and_excess_are_told_of_the_scene_that_is_worst_off(maker, tmp_path) -> None:
+def test_missing_and_excess_are_told_of_the_scene_that_is_worst_off(maker) -> None:
     for scene, missing in (("tf1", 0.004), ("tf2", 0.1432)):
         maker.run(scene=scene, missing=missing, excess=0.02)
     maker.run(method="hac")
@@ -75,8 +76,7 @@ def test_missing_and_excess_are_told_of_the_scene_that_is_worst_off(maker, tmp_p
     ours, other = stability.records(tables["results"], tables["views"])
     assert (ours.missing, ours.excess) == (pytest.approx(0.1432), pytest.approx(0.02))
     assert (other.missing, other.excess) == (None, None)
-    page = write_report(tables, maker.root, tmp_path / "report.html").read_text(encoding="utf-8")
-    assert ">14.3<" in page
+    assert ">14.3<" in page(maker, tables=tables)[0]
 
 
 def test_families_need_three_members_that_differ_in_a_number() -> None:
@@ -110,13 +110,12 @@ def test_other_rates_are_no_lines_over_complexity(maker) -> None:
 def test_page_and_files_show_both(few, maker, tmp_path) -> None:
     for count in (1, 8, 64):
         maker.run(dataset=f"blobs_{count}")
-    tables = maker.tables()
-    page = write_report(tables, maker.root, tmp_path / "report.html").read_text(encoding="utf-8")
-    assert 'id="stability"' in page
-    assert 'id="complexity"' in page
-    assert "1 of 2: diverged 1" in page
-    charts = {path.stem for path in (tmp_path / "charts").glob("*.pdf")}
-    assert {"few-views", "complexity-size", "complexity-primitives", "complexity-psnr"} <= charts
+    source, _ = page(maker)
+    assert 'id="stability"' in source
+    assert 'id="complexity"' in source
+    assert "1 of 2: diverged 1" in source
+    drawn = dict(charts(maker.report()))
+    assert {"few-views", "complexity-size", "complexity-primitives", "complexity-psnr"} <= drawn.keys()
     # the table to take away stays as it was measured
     assert "bubble, 6 views" not in (tmp_path / "results.csv").read_text(encoding="utf-8")
     assert "bubble, 6 views" in (tmp_path / "results.md").read_text(encoding="utf-8")

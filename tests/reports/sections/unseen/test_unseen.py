@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from econgs_bench.reports.page.document import write_report
 from econgs_bench.reports.report import Report
-from econgs_bench.reports.sections.order import family
+from econgs_bench.reports.sections.order import charts, family
 from econgs_bench.reports.sections.section import Page
 from econgs_bench.reports.sections.unseen import conclusion as unseen
 from econgs_bench.reports.sections.unseen.section import section
+from tests.reports.page.test_page import page
 
 
 @pytest.fixture
@@ -71,11 +71,11 @@ def test_the_conclusion_names_a_leader_by_distance(moved):
     assert "34.5 dB, 3DGS 25.5" in text.split(";")[-1]
 
 
-def test_the_page_has_the_section_where_bumps_were_moved(moved, tmp_path):
-    page = write_report(moved.tables(), moved.root, tmp_path / "report.html").read_text(encoding="utf-8")
-    html = page[page.index('id="unseen"') :]
+def test_the_page_has_the_section_where_bumps_were_moved(moved):
+    source, _ = page(moved)
+    html = source[source.index('id="unseen"') :]
     assert "Unseen transfer functions" in html
-    assert (tmp_path / "charts" / "unseen-psnr.svg").is_file()
+    assert "unseen-psnr" in dict(charts(moved.report()))
 
 
 def test_other_edits_make_no_section(maker):
