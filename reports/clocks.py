@@ -69,10 +69,10 @@ class Clocks:
             return ""
         reasons = []
         if (slowdown := self.slowdown(row, column)) > BUSY:
-            reasons.append(f"the reference kernel took {slowdown:.1f} times its quiet time (limit {BUSY:g})")
+            reasons.append(f"the reference kernel took {slowdown:.3g} times its quiet time (limit {BUSY:g})")
         if column == "fps" and (spread := _spread(row)) > SPREAD:
             reasons.append(
-                f"the slowest 5 % of the frames took {spread:.1f} times the fastest 5 % (limit {SPREAD:g})"
+                f"the slowest 5 % of the frames took {spread:.3g} times the fastest 5 % (limit {SPREAD:g})"
             )
         return "; ".join(reasons)
 
