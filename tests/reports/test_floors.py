@@ -72,7 +72,7 @@ def test_the_floor_stands_beside_psnr_where_a_row_has_one(maker):
     results = maker.tables()["results"]
     names = list(display(results))
     assert names[names.index("psnr") + 1] == "floor"
-    assert numbers(results)[:2] == ("psnr", "floor")
+    assert numbers(results)[:2] == ["psnr", "floor"]
     _, fields = for_terminal(results, 200)
     (floors,) = (field.cells for field in fields if field.header == "Floor [dB]")
     assert floors == ["54.10", "\N{EN DASH}"]
