@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from econgs_bench.reports import markup
 from econgs_bench.reports.comparability import kind_of, rays_a_pixel, reason, replaced
-from econgs_bench.reports.floors import NEAR
 from econgs_bench.reports.schema import COLUMNS, METRICS, by_name, frame, records
 from econgs_bench.reports.sections.section import Page, Section
 from econgs_bench.reports.style import MISSING, absent, mean_key, model, models
@@ -296,7 +295,7 @@ def _floors(report: Report) -> str:
     return (
         f'<details class="note"><summary>{title}</summary>'
         "<p>The truth of each scene, and one ray a pixel, against the same views rendered with other, more "
-        f"rays: the floor. At {NEAR:g} dB below it, half of a model's squared error is that of the truth.</p>"
+        "rays: the floor. At 3 dB below it, half of a model's squared error is that of the truth.</p>"
         f"{html_table(title, heads, ([escape(text) for text in line] for line in lines))}</details>"
     )
 
