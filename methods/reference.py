@@ -1,4 +1,4 @@
-"""The page of options, as ``python -m econgs_bench.methods.reference`` prints it and the site has it."""
+"""Options of the methods: a page of the site, and what ``bench list methods NAME`` prints."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from econgs_bench.methods.registry import Registry
 
 _HEAD = """# Options of the methods
 
-`python -m econgs_bench.methods.reference` prints this page from the specs of the methods
-(`methods/*/spec.py`). `--set METHOD.OPTION=VALUE` sets an option; it also sets `iterations`, the
-budget, and `configuration`, a named set of options. Each section ends with what presets and
-configurations change."""
+`bench list methods NAME` prints a section, of your own methods too. `--set METHOD.OPTION=VALUE` sets
+an option; it also sets `iterations`, the budget, and `configuration`, a named set of options. Each
+section ends with what presets and configurations change."""
 
 
 def page() -> str:
@@ -23,28 +22,32 @@ def page() -> str:
     return "\n\n".join([_HEAD, *sections]) + "\n"
 
 
-def _section(spec: MethodSpec) -> Iterator[str]:
-    yield f"## {spec.name}"
+def options_of(spec: MethodSpec) -> list[tuple[str, str, str, str]]:
+    """Name, default, values and meaning of each option of a method."""
     options = declared(spec.options) | ({SAMPLES: DRAWING} if spec.point_sampled else {})
-    rows = [
-        f"| `{name}` | {written(option.default)} | {_values(option)} | {option.doc} |"
-        for name, option in options.items()
-    ]
-    yield "\n".join(["| option | default | values | meaning |", "|---|---|---|---|", *rows])
-    lines = [
-        f"- preset `{name}`: {_settings({'iterations': count, **spec.presets.get(name, {})})}"
-        for name, count in spec.iterations.items()
-    ]
+    return [(name, written(one.default), _values(one), one.doc) for name, one in options.items()]
+
+
+def settings_of(spec: MethodSpec) -> Iterator[tuple[str, str]]:
+    """What a method has of presets, configurations, rates and search, and the values, as Markdown."""
+    for name, count in spec.iterations.items():
+        yield f"preset `{name}`", _settings({"iterations": count, **spec.presets.get(name, {})})
     for name, one in spec.configurations.items():
         budgets = {f"iterations of `{preset}`": count for preset, count in one.iterations.items()}
         if one.options or budgets:
-            lines.append(f"- configuration `{name}`: {_settings({**one.options, **budgets})}")
+            yield f"configuration `{name}`", _settings({**one.options, **budgets})
     for knob in spec.rate_knobs:
         how = "one fit each" if knob.refit else "all from one fit"
-        lines.append(f"- rates: {knob.name} = {', '.join(map(written, knob.values))} ({how})")
+        yield "rates", f"{knob.name} = {', '.join(map(written, knob.values))} ({how})"
     if spec.tunable:
-        lines.append(f"- `bench tune` varies: {', '.join(f'`{name}`' for name in spec.tunable)}")
-    yield "\n".join(lines)
+        yield "searched by `bench tune`", ", ".join(f"`{name}`" for name in spec.tunable)
+
+
+def _section(spec: MethodSpec) -> Iterator[str]:
+    yield f"## {spec.name}"
+    rows = [f"| `{name}` | {default} | {values} | {doc} |" for name, default, values, doc in options_of(spec)]
+    yield "\n".join(["| option | default | values | meaning |", "|---|---|---|---|", *rows])
+    yield "\n".join(f"- {what}: {text}" for what, text in settings_of(spec))
 
 
 def _values(option: Option) -> str:
@@ -62,7 +65,3 @@ def _values(option: Option) -> str:
 
 def _settings(values: dict[str, bool | int | float | str]) -> str:
     return ", ".join(f"{name} = {written(value)}" for name, value in values.items())
-
-
-if __name__ == "__main__":
-    print(page(), end="")

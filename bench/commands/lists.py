@@ -23,11 +23,19 @@ WRAPS = ("Title", "From")
 def list_names_arguments(parser: ArgumentParser) -> None:
     """What ``bench list`` takes."""
     add_plugins(parser)
-    parser.add_argument("what", choices=("methods", "datasets", "suites", "metrics"))
+    parser.add_argument("what", choices=tuple(HEADS))
+    parser.add_argument(
+        "names",
+        metavar="NAME",
+        nargs="*",
+        help="what is known of these: a method's paper and options, a dataset's scenes, a suite's choices",
+    )
 
 
 def list_names(options: Namespace) -> int:
-    """Print what there is of one kind."""
+    """Print what there is of one kind, or what is known of some of it."""
+    if options.names:
+        return _describe(options)
     rows = {"methods": _methods, "datasets": _datasets, "suites": _suites, "metrics": _metrics}[options.what]
     columns = list(zip(HEADS[options.what], *rows(options), strict=True))
     fields = [Field(head, cells, "label" if head in WRAPS else "name") for head, *cells in columns]
@@ -94,6 +102,95 @@ def _metrics(options: Namespace) -> Iterable[tuple[str, ...]]:
         )
         for name, m in METRICS.items()
     ]
+
+
+def _describe(options: Namespace) -> int:
+    """Print facts of each name, and its options."""
+    known = {"methods": _method, "datasets": _dataset, "suites": _suite, "metrics": _metric}[options.what]
+    described = [known(options, name) for name in options.names]
+    for number, (name, (facts, table)) in enumerate(zip(options.names, described, strict=True)):
+        heads, texts = zip(*[("Name", name), *((head, text) for head, text in facts if text)], strict=True)
+        fields = [Field("", list(heads), "name"), Field("", list(texts))]
+        print("\n".join(([""] if number else []) + to_lines(fields, line_width())[1:]))
+        if table:
+            columns = zip(("Option", "Default", "Values", "Meaning"), *table, strict=True)
+            fields = [Field(head, cells, "name" if head == "Option" else "label") for head, *cells in columns]
+            print("\n".join(["", *to_lines(fields, line_width())]))
+    return 0
+
+
+_Facts = tuple[list[tuple[str, str]], list[tuple[str, ...]]]
+"""Names and texts, and a table of options."""
+
+
+def _method(options: Namespace, name: str) -> _Facts:
+    from econgs_bench.methods.reference import options_of, settings_of
+    from econgs_bench.methods.registry import Registry
+
+    registry = Registry(options.plugins)
+    spec = registry.spec(name)
+    facts = [
+        ("Version", spec.version),
+        ("Title", spec.title),
+        ("From", registry.origin(name)),
+        ("Paper", spec.reference),
+        ("Alpha of views", spec.uses_alpha),
+        ("Edits", ", ".join(sorted(spec.edits))),
+        ("Devices", ", ".join(spec.devices)),
+        *((what[:1].upper() + what[1:], text) for what, text in _plain(settings_of(spec))),
+    ]
+    return facts, list(_plain(options_of(spec)))
+
+
+def _dataset(options: Namespace, name: str) -> _Facts:
+    from econgs_bench.datasets.catalogue import list_datasets
+    from econgs_bench.datasets.catalogue.entries import entry
+    from econgs_bench.datasets.names import unknown
+
+    infos = {info.name: info for info in list_datasets()}
+    if name not in infos:
+        raise unknown("dataset", name, infos)
+    info = infos[name]
+    if info.kind == "broken":
+        return [("Broken", info.where)], []
+    source = entry(name).get("acknowledgement", "")
+    scenes = ", ".join(info.scenes)
+    return [("Title", info.title), ("Scenes", scenes), ("Place", info.where), ("Source", source)], []
+
+
+def _suite(options: Namespace, name: str) -> _Facts:
+    import tomllib
+
+    from econgs_bench.datasets.names import unknown
+
+    files = {file.stem: file for file in (Path(__file__).parents[1] / "suites").glob("*.toml")}
+    if name not in files:
+        raise unknown("suite", name, files)
+    table = tomllib.loads(files[name].read_text(encoding="utf-8"))
+    kept = ("title", "preset", "seeds", "methods", "optional", "datasets")
+    facts = {key: table[key] for key in kept if key in table}
+    return [(key.capitalize(), _joined(value)) for key, value in facts.items()], []
+
+
+def _metric(options: Namespace, name: str) -> _Facts:
+    from econgs_bench.bench.metrics import METRICS
+    from econgs_bench.datasets.names import unknown
+
+    if name not in METRICS:
+        raise unknown("metric", name, METRICS)
+    metric = METRICS[name]
+    better = "higher" if metric.column.better > 0 else "lower"
+    facts = [("Version", metric.version), ("Unit", metric.column.unit), ("Better", better)]
+    return [*facts, ("Meaning", metric.column.doc)], []
+
+
+def _plain(rows: Iterable[tuple[str, ...]]) -> Iterable[tuple[str, ...]]:
+    """Markdown's marks of code are none in a terminal."""
+    return [tuple(text.replace("`", "") for text in row) for row in rows]
+
+
+def _joined(value: object) -> str:
+    return ", ".join(map(str, value)) if isinstance(value, list | dict) else str(value)
 
 
 def size_text(count: int) -> str:

@@ -68,6 +68,35 @@ def test_lists_have_heads_and_fit(monkeypatch, capsys, what: str, columns: int, 
     assert max(map(len, lines)) <= columns
 
 
+@pytest.mark.parametrize("columns", [80, 120])
+@pytest.mark.parametrize(
+    ("what", "words"),
+    [
+        ("methods fake sz3", ("A color", "palette", "digits", "SZ3: A Modular Framework", "1e-06")),
+        ("datasets vortices", ("cores, sheaths, halos, walls", "built in")),
+        ("suites quick unseen-data", ("3dgs", "Seeds     0, 1, 2", "engine_ct")),
+        ("metrics psnr_fg", ("dB", "higher", "alpha of truth or model")),
+    ],
+)
+def test_what_is_known_of_names_is_listed(bench, monkeypatch, capsys, what: str, columns: int, words) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    assert main(["list", *what.split(), "--plugins", str(bench.plugins)]) == 0
+    text = capsys.readouterr().out
+    assert [name for name in what.split()[1:] if f"Name  {name}" not in re.sub(" +", "  ", text)] == []
+    assert [word for word in words if word not in text and word not in " ".join(text.split())] == []
+    assert max(map(len, text.splitlines())) <= columns
+
+
+@pytest.mark.parametrize("what", LISTS)
+def test_unknown_names_are_refused(what: str, capsys) -> None:
+    assert main(["list", what, "no-such"]) == 2
+    printed = capsys.readouterr()
+    assert "no-such" in printed.err
+    assert "Known: " in printed.err
+    assert printed.out == ""
+
+
 def test_no_command_prints_the_help(monkeypatch, capsys) -> None:
     monkeypatch.setattr("sys.argv", ["bench"])
     assert main() == 2
