@@ -1,9 +1,9 @@
 """Volume files: one reader per format, chosen by the first bytes, the suffix, or what a folder holds.
 
 ``.raw`` and ``.raw.gz`` (:mod:`~.datasets.readers.raw`), ``.npy``, NRRD and NIfTI hold one field. All others
-hold variables by name, some with time steps. What VTK, SimpleITK, tifffile, h5py and zarr read, they read in
-a process of their own (:mod:`~.datasets.readers.sandbox`). Every fault of a file becomes one
-:class:`~.datasets.errors.DataError` that names file, reason and remedy.
+hold variables by name, some with time steps. What VTK, SimpleITK, tifffile, h5py and zarr read, and
+nibabel of MINC, they read in a process of their own (:mod:`~.datasets.readers.sandbox`). Every fault of a
+file becomes one :class:`~.datasets.errors.DataError` that names file, reason and remedy.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ _CONTAINERS = {
     ".hdf": "hdf",
     ".nc": "netcdf",
     ".nc4": "netcdf",
+    ".mnc": "netcdf",
     ".zarr": "zarr",
     ".zarr.zip": "zarr",
     ".vtk": "vtk_legacy",
@@ -59,7 +60,8 @@ _CONTAINERS = {
 }
 _FORMATS = _SINGLE | _CONTAINERS
 _KEPT_IN = {
-    **dict.fromkeys((".hdf5", ".hdf", ".nc", ".nc4", ".ex2", ".exo", ".e", ".vtkhdf"), (".h5", ".nc")),
+    **dict.fromkeys((".hdf5", ".hdf", ".nc", ".nc4", ".mnc", ".vtkhdf"), (".h5", ".nc")),
+    **dict.fromkeys((".ex2", ".exo", ".e"), (".h5", ".nc")),
     **dict.fromkeys((".nhdr", ".tiff", ".mha"), (".nrrd", ".tif", ".mhd")),
     **dict.fromkeys((".img", ".hdr"), (".nii",)),
     ".nii.gz": (".nii",),
@@ -87,7 +89,7 @@ def folder_kind(path: Path) -> str:
     names = {file.name for file in path.iterdir()}
     if holds_views(path):
         return ""
-    if names & {".zgroup", ".zarray", ".zmetadata", "zarr.json"} or suffix_of(path) == ".zarr":
+    if names & {*content.ZARR, ".zmetadata"} or suffix_of(path) == ".zarr":
         return "zarr"
     files = content.visible(path)
     pictures = [file for file in files if file.suffix.lower() in (".tif", ".tiff", ".png")]
@@ -231,12 +233,15 @@ def _source(path: Path, kind: str) -> Source:
     if kind == "zarr":
         return Arrays(path, Stored(path, "zarr_store"), missing=True)
     container = _netcdf(path)
-    if kind == "exodus" or {"connect1", "eb_prop1"} <= set(container.arrays):
+    names = set(container.arrays)
+    if kind == "exodus" or {"connect1", "eb_prop1"} <= names:
         from econgs_bench.datasets.readers.exodus import Exodus
 
         return Exodus(path, container)
-    if any(name.startswith("VTKHDF/") for name in container.arrays):
+    if any(name.startswith("VTKHDF/") for name in names):
         return Foreign(path, "vtk_data")
+    if {"image", "image-max"} <= names or any(name.startswith("minc-2.0/") for name in names):
+        return Foreign(path, "minc")
     return Arrays(path, container, missing=True, netcdf=kind == "netcdf")
 
 

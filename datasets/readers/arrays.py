@@ -75,7 +75,7 @@ class Arrays:
                 self._arranged[array.name] = array, order
         self.variables = tuple(variables)
         if not variables:
-            shapes = ", ".join(f"{a.name} {list(a.shape)}" for a in list(container.arrays.values())[:8])
+            shapes = ", ".join(map(_described, list(container.arrays.values())[:8]))
             reason = "holds no three-dimensional numeric array"
             raise DataError(path, reason, f"It holds {shapes or 'no arrays'}; write one of shape (z, y, x)")
 
@@ -185,21 +185,28 @@ class Arrays:
         ]
         if (None in found and not any(array.dims)) or found == [None] * 3:
             return [None, None, None]
-        axes = [None if a is None else self._positions(a) for a in found]
-        if None not in found:
-            scales = in_one_unit([1.0] * 3, [_unit(a) for a in found if a is not None])
-            if scales is not None:
-                return [
-                    axis if axis is None or scale == 1.0 else axis * scale
-                    for axis, scale in zip(reversed(axes), reversed(scales), strict=True)
-                ]
-        # Degrees and metres have no common scale: only the unevenness of each axis counts.
-        notice(f"{self.path}: axes of {array.name} have different units or no positions: mean sample "
-               "distances 1:1:1 are assumed; `spacing` sets them")  # fmt: skip
-        return [None if axis is None else _by_mean_distance(axis) for axis in reversed(axes)]
+        known = [a for a in found if a is not None]
+        scales = in_one_unit([1.0] * len(known), [_unit(a) for a in known])
+        axes = [self._positions(a) for a in known]
+        if scales is not None:
+            pairs = zip(axes, scales, strict=True)
+            axes = [axis if scale == 1.0 else axis * scale for axis, scale in pairs]
+        else:  # degrees and metres have no common scale: only the unevenness of each axis counts
+            notice(f"{self.path}: axes of {array.name} have different units: mean sample distances 1:1:1 are "
+                   "assumed; `spacing` sets them")  # fmt: skip
+            axes = list(map(_by_mean_distance, axes))
+        placed = iter(axes)
+        return [None if a is None else next(placed) for a in found][::-1]
 
     def _positions(self, array: Array) -> NDArray[Any]:
         return _unpacked(_viewed(self._file.read(array.name), array), array)
+
+
+def _described(array: Array) -> str:
+    """Name and shape of an array, and its type if that is none of numbers of up to 64 bits."""
+    plain = array.dtype.kind in "iufb" and array.dtype.itemsize <= 8
+    kind = {"V": "compound", "S": "text"}.get(array.dtype.kind, array.dtype.name)
+    return f"{array.name} {list(array.shape)}{'' if plain else f' ({kind})'}"
 
 
 def variable_of(array: Array) -> Variable | None:

@@ -39,7 +39,7 @@ def place(
 
     Args:
         values: (nz, ny, nx).
-        axes: positions along x, y, z; None for an axis without: it has unit spacing.
+        axes: positions along x, y, z; an axis without (None) has the mean distance of the others.
         path: the file, for messages.
         limits: which values are shown.
         mask: (nz, ny, nx), False for missing values: they become continuations of their neighbours.
@@ -89,8 +89,13 @@ def place(
                 raise DataError(path, f"positions along {name} lie too close to each other", remedy)
     size = None if all(axis is None for axis in axes) else (spacing[0], spacing[1], spacing[2])
     if size is not None and any(axis is None for axis in axes):
+        known = [distance for distance, axis in zip(size, axes, strict=True) if axis is not None]
+        mean = sum(known) / len(known)
+        x, y, z = (mean if axis is None else d for d, axis in zip(size, axes, strict=True))
+        size = x, y, z
         without = ", ".join(name for name, axis in zip("xyz", axes, strict=True) if axis is None)
-        notice(f"{path}: no sample distance along {without}: 1 is taken; `spacing` sets all three")
+        notice(f"{path}: no sample distance along {without}: the mean of the others is taken; "
+               "`spacing` sets all three")  # fmt: skip
     if not uneven:
         return Field(values, size, mask, found.value_range, found.whole)
     before = " x ".join(str(n) for n in reversed(values.shape))

@@ -9,8 +9,14 @@ from pathlib import Path
 
 _VTK = {"ImageData": "vti", "RectilinearGrid": "vtr", "StructuredGrid": "vts", "UnstructuredGrid": "vtu"}
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+ZARR = frozenset({".zgroup", ".zarray", "zarr.json"})
+"""Files that make a folder a group or an array of Zarr."""
 _BARE_DICOM = tuple(bytes([group, 0, element, 0]) for group in (2, 8) for element in (0, 1, 5, 8, 0x10, 0x16))
 """First tags of DICOM files that have no preamble."""
+_TYPES = (b"UL", b"OB", b"UI", b"CS", b"SH")
+"""Types of their elements."""
+_SHORT = 120
+"""Most bytes of a first element, so that the next tag is among the bytes that tell a DICOM file."""
 
 
 def suffix_of(path: Path, known: set[str]) -> str:
@@ -72,7 +78,20 @@ def suffix_by_content(path: Path) -> str:
 
 def is_dicom(head: bytes) -> bool:
     """Whether bytes are the beginning of a DICOM file, with or without preamble."""
-    return head[128:132] == b"DICM" or head.startswith(_BARE_DICOM)
+    return head[128:132] == b"DICM" or (head.startswith(_BARE_DICOM) and _has_element(head))
+
+
+def _has_element(head: bytes) -> bool:
+    """Whether bytes begin with an element: it has a type, or an even length up to another one of group 8.
+
+    Four bytes alone may be numbers, as in PLOT3D files and pictures of labels.
+    """
+    if head[4:6] in _TYPES:
+        return True
+    length = int.from_bytes(head[4:8], "little")
+    group, element = head[8 + length : 10 + length], head[10 + length : 12 + length]
+    ascends = int.from_bytes(element, "little") > int.from_bytes(head[2:4], "little")
+    return length <= _SHORT and length % 2 == 0 and group == head[:2] == b"\x08\0" and ascends
 
 
 def _is_nifti(head: bytes) -> bool:
@@ -85,6 +104,6 @@ def _of_zip(path: Path) -> str:
             names = [name.rpartition("/")[2] for name in archive.namelist()]
     except (zipfile.BadZipFile, ValueError, NotImplementedError):
         return ""
-    if {".zgroup", ".zarray", "zarr.json"} & set(names):
+    if ZARR & set(names):
         return ".zarr.zip"
     return ".npz" if any(name.endswith(".npy") for name in names) else ""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.readers.notices import notice
 from econgs_bench.datasets.scratch import converted, new_array
 
 Spacing = tuple[float, float, float]
@@ -146,8 +147,17 @@ def check_expansion(path: Path, compressed: int, expected: int, dims: tuple[int,
         raise wrong_size(path, expected, f"{compressed} compressed bytes", dims, dtype)
 
 
+def left_out(size: int, end: int) -> str:
+    """A line on bytes after the values, where a header says how many values there are; "" for none.
+
+    Formats' libraries ignore such bytes. Only where nothing but the size checks dims and type (raw values)
+    are they an error.
+    """
+    return f"bytes after its values are left out: {size - end}" if size > end else ""
+
+
 def read_values(
-    path: Path, start: int, skip: int, dims: tuple[int, ...], dtype: np.dtype, gzipped: bool
+    path: Path, start: int, skip: int, dims: tuple[int, ...], dtype: np.dtype, gzipped: bool, exact: bool
 ) -> NDArray[np.generic]:
     """Values (nz, ny, nx) at the end of a file, memory-mapped, or from a gzip stream.
 
@@ -158,6 +168,7 @@ def read_values(
         dims: samples along x, y, z.
         dtype: type in the file.
         gzipped: whether a gzip stream holds them.
+        exact: whether bytes after them are an error (in a stream they always are), not a line in the log.
 
     Raises:
         DataError: the file has another size than dims and type need, or its stream is damaged.
@@ -169,8 +180,11 @@ def read_values(
             data = _gunzip(file, path, size - start, max(skip, 0), dims, dtype)
         return np.asarray(data.view(dtype).reshape(dims[::-1]))
     offset = size - expected if skip == -1 else start + max(skip, 0)
-    if offset < start or offset + expected != size:
+    end = offset + expected
+    if offset < start or end > size or (exact and end < size):
         raise wrong_size(path, expected, f"{size - max(offset, start)} bytes", dims, dtype.name)
+    if text := left_out(size, end):
+        notice(f"{path}: {text}")
     return np.memmap(path, dtype, mode="r", offset=offset, shape=dims[::-1])
 
 

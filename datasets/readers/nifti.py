@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import gzip
+import logging
 import math
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +19,7 @@ from econgs_bench.datasets.readers.fields import Variable, channels_of
 from econgs_bench.datasets.readers.finish import (
     Spacing,
     check_expansion,
+    left_out,
     positive_dims,
     unpacked_type,
     wrong_size,
@@ -30,10 +34,11 @@ _NIFTI2 = (540, 0x1C020000)  # size of its header, in either byte order
 def open_nifti(path: Path) -> Single:
     """The field of a file, with its time steps; axes as in the file (the affine gives only distances)."""
     try:
-        image: Any = _image(path)
+        with _remarks(path):
+            image: Any = _image(path)
         dims = tuple(int(n) for n in image.shape)
         dtype = image.header.get_data_dtype()
-        spacing = _spacing(path, image)
+        spacing = _spacing(path, image) if len(dims) >= 3 else None
     except MemoryError:
         raise
     except Exception as error:  # damaged headers fail in nibabel in many ways
@@ -60,6 +65,8 @@ def open_nifti(path: Path) -> Single:
         check_expansion(at, size, expected, dims, dtype.name)
     elif size < expected:
         raise wrong_size(at, expected, f"{size} bytes", dims, dtype.name)
+    elif text := left_out(size, image.dataobj.offset + expected):
+        notice(f"{at}: {text}")
 
     def load(step: int) -> NDArray[np.generic]:
         try:
@@ -84,6 +91,21 @@ def open_nifti(path: Path) -> Single:
     channels = min(colors, 3) or channels_of(components, dtype)
     variable = Variable("value", (x, y, z), steps, max(parts, 1), channels)
     return Single(path, variable, load, spacing)
+
+
+@contextmanager
+def _remarks(path: Path) -> Iterator[None]:
+    """Let nibabel's remarks on a header be lines that name the file; it would write them on stderr itself."""
+    from nibabel.imageglobals import logger
+
+    told = logging.Handler(logging.WARNING)
+    told.emit = lambda record: notice(f"{path}: {record.getMessage()}")  # type: ignore[method-assign]
+    before = logger.handlers, logger.propagate
+    logger.handlers, logger.propagate = [told], False
+    try:
+        yield
+    finally:
+        logger.handlers, logger.propagate = before
 
 
 def _is_gzip(path: Path) -> bool:

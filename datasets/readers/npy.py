@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.readers.container import Array
 from econgs_bench.datasets.readers.fields import Variable
+from econgs_bench.datasets.readers.finish import left_out
+from econgs_bench.datasets.readers.notices import notice
 from econgs_bench.datasets.readers.single import Single
 
 
@@ -23,8 +25,10 @@ def open_npy(path: Path) -> Single:
     except Exception as error:  # a damaged header fails in NumPy's parser in many ways
         remedy = "Write it with numpy.save (no objects), shape (z, y, x)"
         raise DataError(path, f"is not a readable .npy file ({error})", remedy) from error
-    if not isinstance(values, np.ndarray):
+    if not isinstance(values, np.memmap):
         raise DataError(path, "holds several arrays", "Save one array with numpy.save")
+    if text := left_out(path.stat().st_size, values.offset + values.nbytes):
+        notice(f"{path}: {text}")
     return of_array(path, values)
 
 

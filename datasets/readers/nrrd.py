@@ -33,7 +33,6 @@ _REMEDY = "Write it again, for example with pynrrd: one scalar field, raw or gzi
 
 
 _COMPONENTS = ("vector", "point", "normal", "gradient", "complex", "quaternion", "matrix")
-_COLORS = ("rgb-color", "rgba-color", "3-color", "4-color")
 _SPACE = ("domain", "space", "")
 _UNKNOWN = ("???", "none", "")
 
@@ -46,8 +45,15 @@ def open_nrrd(path: Path) -> Single:
     import nrrd
 
     with path.open("rb") as file:
+        head = re.split(rb"\r?\n\r?\n", file.read(1 << 16), maxsplit=1)[0]
+        if re.search(rb"(?im)^data ?file:=? *(LIST|.*%)", head):
+            raise DataError(path, "its data lie in several files", _REMEDY)
+        file.seek(0)
         try:
             header = nrrd.read_header(file)
+            lacks = [field for field in ("sizes", "type", "encoding") if field not in header]
+            if lacks:
+                raise ValueError(f"it lacks {', '.join(lacks)}")
             sizes = tuple(int(n) for n in header["sizes"])
             kind, encoding = str(header["type"]), str(header["encoding"]).lower()
             big = header.get("endian", "little") == "big"
@@ -60,9 +66,6 @@ def open_nrrd(path: Path) -> Single:
         except MemoryError:
             raise
         except Exception as error:  # a damaged header fails in pynrrd's parser in many ways
-            file.seek(0)
-            if re.search(rb"(?im)^data ?file:=? *LIST", file.read(1 << 16)):
-                raise DataError(path, "its data lie in several files", _REMEDY) from error
             raise DataError(path, f"has no readable NRRD header ({error!r})", _REMEDY) from error
         start = file.tell()
     dims = tuple(n for i, n in enumerate(sizes) if i not in apart)
@@ -74,8 +77,6 @@ def open_nrrd(path: Path) -> Single:
             path, "does not say its byte order", 'Add the field "endian: little", or "endian: big"'
         )
     detached = header.get("data file", header.get("datafile"))
-    if isinstance(detached, list) or "%" in str(detached) or str(detached).startswith("LIST"):
-        raise DataError(path, "its data lie in several files", _REMEDY)
     at = path if detached is None else path.parent / str(detached)
     if not at.is_file():
         raise DataError(path, f"its data file {at} does not exist", "Keep header and data together")
@@ -83,7 +84,7 @@ def open_nrrd(path: Path) -> Single:
     others = [(i, sizes[i]) for i in apart if sizes[i] > 1]
     kinds = [str(k).lower() for k in header.get("kinds", [])] or [""] * len(sizes)
     axis, count = others[0] if others else (0, 1)
-    colors = bool(others) and kinds[axis] in _COLORS
+    colors = bool(others) and kinds[axis].endswith("-color")
     vector = colors or (bool(others) and any(word in kinds[axis] for word in _COMPONENTS))
 
     def load(step: int) -> NDArray[np.generic]:
@@ -183,4 +184,4 @@ def _data(
     for _ in range(max(line_skip, 0)):
         if not file.readline():
             break
-    return read_values(path, file.tell(), byte_skip, dims, dtype, encoding != "raw")
+    return read_values(path, file.tell(), byte_skip, dims, dtype, encoding != "raw", False)

@@ -76,7 +76,7 @@ def open_raw(path: Path) -> Single:
 
     def load(step: int) -> NDArray[np.generic]:
         whole = (*dims[:2], dims[2] * steps)
-        values = read_values(path, 0, layout.header_bytes, whole, layout.dtype, gzipped)
+        values = read_values(path, 0, layout.header_bytes, whole, layout.dtype, gzipped, True)
         return values[step * dims[2] : (step + 1) * dims[2]]
 
     x, y, z = dims

@@ -160,6 +160,7 @@ class Sandbox:
 _WRITERS = {
     "hdf5": "h5py or netCDF4",
     "zarr_store": "zarr or xarray",
+    "minc": "mnc2nii (.nii)",
     "vtk_data": "VTK or ParaView",
     "itk": "SimpleITK (a folder: all its slices)",
     "slices": "tifffile or Pillow",
@@ -212,16 +213,16 @@ class Foreign:
         """The values of one choice."""
         answer, parts = self._child.ask(read=choice.variable.name, step=choice.step)
         values = scalar(parts["values"], choice, self.path)
+        mask = parts["mask"].view(np.bool_) if "mask" in parts else None
         if "points" in parts:
             from econgs_bench.datasets.readers.mesh import Mesh, resampled
 
             mesh = Mesh(parts["points"], parts["connectivity"], parts["ends"], parts["types"])
             checked = Mesh.joined([mesh], self.path)
-            return resampled(checked, values, answer["of_cells"], choice, self.path)
+            return resampled(checked, values, answer["of_cells"], choice, self.path, mask)
         from econgs_bench.datasets.readers.axes import place
 
         axes = [parts.get(name) for name in "xyz"]
-        mask = parts["mask"].view(np.bool_) if "mask" in parts else None
         return place(values, axes, self.path, choice.limits, mask)
 
 

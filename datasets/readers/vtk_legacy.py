@@ -25,6 +25,8 @@ _TYPES = {
     "unsigned_int": "u4", "int": "i4", "unsigned_long": "u8", "long": "i8", "vtktypeint64": "i8",
     "vtktypeuint64": "u8", "vtkidtype": "i4", "float": "f4", "double": "f8", "colors in text": "f4",
 }  # fmt: skip
+MASKS = ("vtkGhostType", "vtkValidPointMask")
+"""Names of arrays that say which points and cells are no data."""
 _KINDS = ("STRUCTURED_POINTS", "RECTILINEAR_GRID", "UNSTRUCTURED_GRID")
 _REMEDY = "Copy it again, or write it again with VTK or ParaView"
 _COMPONENTS = {"VECTORS": 3, "NORMALS": 3, "TENSORS": 9, "TENSORS6": 6}
@@ -59,7 +61,7 @@ class LegacyFile:
     """An open ``.vtk``.
 
     Raises:
-        LeftToVtk: it holds another kind of data, or an array of texts or bits.
+        LeftToVtk: it holds another kind of data, an array of texts or bits, or one of :data:`MASKS`.
     """
 
     def __init__(self, path: Path) -> None:
@@ -246,6 +248,9 @@ class LegacyFile:
         tuples = self._tuples if tuples is None else tuples
         if kind.lower() in ("bit", "string", "utf8_string", "vtkvariant", "variant"):
             raise LeftToVtk(f"an array of type {kind}")
+        name = unquote(name)
+        if name in MASKS:
+            raise LeftToVtk(name)
         if tuples < 0 or components < 1:
             raise ValueError(f"an array of type {kind}")
         dtype = self._dtype(kind)
@@ -255,7 +260,6 @@ class LegacyFile:
         else:
             _, self._at = self._numbers(start, dtype, tuples * components)
         if name and self._tuples >= 0:
-            name = unquote(name)
             label = f"{name}_cells" if name in self._arrays else name
             colors = kind == _COLORS[False]
             self._arrays[label] = _Array(self._of_cells, start, dtype, components, tuples, colors)

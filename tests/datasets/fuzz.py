@@ -32,7 +32,7 @@ from econgs_bench.datasets.volume import Volume
 from tests.datasets.damage import KINDS, Outcome, damage
 from tests.datasets.forked import use_forks
 
-CHUNKED = ("zarr", ".h5", "4.nc", "hdf", ".xdmf", ".xmf")
+CHUNKED = ("zarr", ".h5", "4.nc", "2.mnc", "hdf", ".xdmf", ".xmf")
 _PATIENCE = 5.0
 """Seconds until a reading counts as hung; one of a sample takes less than a tenth."""
 _MEMORY = 1 << 30

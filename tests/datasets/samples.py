@@ -8,12 +8,14 @@ written here by their specifications.
 from __future__ import annotations
 
 import locale
+import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import h5py
+import netCDF4
 import nibabel
 import nrrd
 import numpy as np
@@ -236,12 +238,48 @@ def _dataset() -> xarray.Dataset:
 
 
 def _zarr(path: Path) -> None:
+    folder = path.with_suffix("") if path.suffix == ".zip" else path
     _dataset().to_zarr(
-        path,
+        folder,
         zarr_format=2 if "2" in path.stem else 3,
         consolidated=False,
         encoding={"f": {"chunks": (2, 3, 3)}},
     )
+    if path.suffix == ".zip":
+        shutil.make_archive(str(folder), "zip", folder)
+        shutil.rmtree(folder)
+
+
+MINC = {"zspace": 0.5, "yspace": 2.0, "xspace": 1.0}
+MINC_MAXIMUM = np.array([250.0, 500.0, 1000.0, 250.0])
+"""What the largest valid number, 1000, stands for in each slice of a MINC file."""
+
+
+def _minc(path: Path) -> None:
+    raw = (FIELD * 1000.0 / MINC_MAXIMUM[:, None, None]).astype("i2")
+    ranges = {"image-max": MINC_MAXIMUM, "image-min": np.zeros(len(raw))}
+    if "1" in path.stem:
+        with netCDF4.Dataset(path, "w", format="NETCDF3_CLASSIC") as file:
+            for (name, step), n in zip(MINC.items(), raw.shape, strict=True):
+                file.createDimension(name, n)
+                file.createVariable(name, "i4").setncatts({"spacing": "regular__", "step": step})
+            picture = file.createVariable("image", "i2", tuple(MINC))
+            picture.setncatts({"signtype": "signed__", "valid_range": [0.0, 1000.0]})
+            picture[:] = raw
+            for name, values in ranges.items():
+                file.createVariable(name, "f8", ("zspace",))[:] = values
+        return
+    with h5py.File(path, "w") as file:
+        for name, step in MINC.items():
+            axis = file.create_dataset(f"minc-2.0/dimensions/{name}", data=0)
+            axis.attrs.update({"spacing": np.bytes_("regular__"), "step": step})
+        group = file.create_group("minc-2.0/image/0")
+        group.create_dataset("image", data=raw, chunks=(2, 5, 6), compression="gzip")
+        about = {"dimorder": np.bytes_(",".join(MINC)), "valid_range": [0.0, 1000.0]}
+        group["image"].attrs.update(about)
+        for name, values in ranges.items():
+            group[name] = values
+            group[name].attrs["dimorder"] = np.bytes_("zspace")
 
 
 def _netcdf(path: Path) -> None:
@@ -287,7 +325,8 @@ FORMATS: dict[str, Callable[[Path], None]] = {
     "case/v.foam": _foam,
     "v.mha": _itk, "packed.mha": _itk, "v.mhd": _itk, "dicom": _dicom,
     "v.tif": _tiff, "packed.tiff": _tiff, "tiff": _tiff, "png": _png,
-    "v2.zarr": _zarr, "v3.zarr": _zarr, "v4.nc": _netcdf, "v3.nc": _netcdf, "v.h5": _hdf5,
+    "v2.zarr": _zarr, "v3.zarr": _zarr, "v2.zarr.zip": _zarr, "v3.zarr.zip": _zarr,
+    "v1.mnc": _minc, "v2.mnc": _minc, "v4.nc": _netcdf, "v3.nc": _netcdf, "v.h5": _hdf5,
     "v.vtk": lambda path: write_legacy(path, _image(), binary=True), "v.ex2": _exodus,
     "v.nii": _nifti, "v.nii.gz": _nifti, "raw.nrrd": _nrrd, "v.nrrd": _nrrd,
 }  # fmt: skip

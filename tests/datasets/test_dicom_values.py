@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import SimpleITK as sitk
 from numpy.typing import NDArray
 
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.readers import list_variables, read_volume
 from econgs_bench.datasets.readers.child import elements
+from econgs_bench.datasets.readers.limits import Limits
 from tests.datasets import dicom_files as dicom
 
 pytestmark = pytest.mark.usefixtures("forks")
@@ -154,7 +156,7 @@ def test_distances_without_positions(tmp_path: Path, caplog: pytest.LogCaptureFi
     for name, own, z in (
         ("between", {0x00180088: 2, 0x00180050: 5}, 2.0),
         ("thickness", {0x00180050: 3}, 3.0),
-        ("neither", {}, 1.0),
+        ("neither", {}, 0.75),
     ):
         for model in (dicom.CT, dicom.CAPTURE):
             caplog.clear()
@@ -203,6 +205,49 @@ def test_indices_into_a_table_are_refused(tmp_path: Path, syntax: str) -> None:
     stack = np.broadcast_to(tag, (*V.shape[:2], 4)).copy()
     same = folder(tmp_path / "pixels", lambda k: {}, stack, syntax=syntax)  # which is no element there
     np.testing.assert_array_equal(read_volume(same).values, stack)
+
+
+@pytest.mark.parametrize("kind", ["u2", "i2"])
+@pytest.mark.parametrize("slope", [1, 2, 0.1, -1])
+@pytest.mark.parametrize("limit", [None, 0xF004])
+def test_padding_is_no_value(tmp_path: Path, kind: str, slope: float, limit: int | None) -> None:
+    """Stored numbers up to the limit stand for what the scanner did not see."""
+    stored = V.astype(kind)
+    stored[:, :2] = np.array([[0xF000], [0xF004]], "u2").astype(kind)
+    own = {0x00280120: 0xF000, 0x00280121: limit, 0x00281053: slope, 0x00281052: -1000}
+    right = np.zeros(V.shape, bool)
+    right[:, : 1 if limit is None else 2] = True
+    path = folder(tmp_path / "s", lambda k: own, stored)
+    frames = [dicom.frame(2.0 * k, slope) for k in range(4)]
+    dicom.enhanced(
+        tmp_path / "e.dcm", stored, frames, padding={tag: own[tag] for tag in (0x00280120, 0x00280121)}
+    )
+    for at, intercept in ((path, -1000), (tmp_path / "e.dcm", 3)):
+        volume = read_volume(at, limits=Limits("all"))
+        assert volume.mask is not None
+        np.testing.assert_array_equal(~volume.mask, right)
+        expected = slope * stored.astype(float) + intercept
+        np.testing.assert_allclose(volume.values[~right], expected[~right], rtol=1e-6)
+
+
+def test_big_endian_files(tmp_path: Path) -> None:
+    path = folder(tmp_path / "s", lambda k: {0x00281053: 2, 0x00281052: -7}, syntax=dicom.BIG)
+    files = sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(path))
+    np.testing.assert_array_equal(sitk.GetArrayFromImage(sitk.ReadImage(files)), 2 * V.astype(int) - 7)
+    check(path, 2 * V.astype(int) - 7, np.int32)
+    file = path / "9.dcm"
+    file.write_bytes(file.read_bytes()[:-2])
+    with pytest.raises(DataError, match=r"its file 9\.dcm has no pixels, or is truncated"):
+        read_volume(path)
+
+
+@pytest.mark.parametrize("syntax", [dicom.EXPLICIT, dicom.IMPLICIT])
+def test_files_without_a_preamble(tmp_path: Path, syntax: str) -> None:
+    folder(tmp_path / "s", lambda k: {}, syntax=syntax)
+    for file in (tmp_path / "s").iterdir():
+        whole = file.read_bytes()
+        file.rename(file.with_suffix("")).write_bytes(whole[whole.index(b"\x08\0\x16\0") :])
+    check(tmp_path / "s", V, np.uint16)
 
 
 def test_deflated_files(tmp_path: Path) -> None:

@@ -6,11 +6,14 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import tifffile
+from PIL import Image, ImageSequence
 
 from econgs_bench.datasets.catalogue import open_dataset
 from econgs_bench.datasets.errors import DataError
@@ -99,23 +102,56 @@ def test_a_slice_that_differs_is_named(forks: None, tmp_path: Path) -> None:
         assert error.value.remedy == "Copy it again"
 
 
-@pytest.mark.parametrize("last", [None, (2, 3)])
-def test_pages_that_were_written_one_by_one(
-    forks: None, tmp_path: Path, last: tuple[int, int] | None
-) -> None:
-    """tifffile calls each a series; a smaller last page is a preview."""
+PAGES: dict[str, Callable[[int], dict[str, Any]]] = {
+    "alike": lambda k: {},
+    "compression": lambda k: {"compression": "zlib" if k > 1 else None},
+    "strips": lambda k: {"rowsperstrip": 2 if k > 1 else 5},
+}
+
+
+@pytest.mark.parametrize("preview", [True, False])
+@pytest.mark.parametrize("kind", PAGES)
+def test_pages_that_were_written_one_by_one(forks: None, tmp_path: Path, kind: str, preview: bool) -> None:
+    """tifffile may begin a series with each; a page of reduced resolution is a preview."""
     path = tmp_path / "v.tif"
     with tifffile.TiffWriter(path) as file:
-        for page in samples.FIELD:
-            file.write(page, contiguous=False)
-        if last is not None:
-            file.write(np.zeros(last, samples.FIELD.dtype), contiguous=False)
-    np.testing.assert_array_equal(read_volume(path).values, samples.FIELD)
+        for k, page in enumerate(samples.FIELD.astype("f4")):
+            file.write(page, contiguous=False, metadata=None, **PAGES[kind](k))
+        if preview:
+            file.write(np.zeros((2, 3), "f4"), contiguous=False, metadata=None, subfiletype=1)
+    with Image.open(path) as image:
+        right = [np.asarray(page) for page in ImageSequence.Iterator(image)]
+    np.testing.assert_array_equal(read_volume(path).values, right[: len(samples.FIELD)])
     (tmp_path / "slices").mkdir()
     for k in range(2):
         shutil.copy(path, tmp_path / "slices" / f"{k}.tif")
     with pytest.raises(DataError, match=r"0\.tif is no slice"):
         read_volume(tmp_path / "slices")
+
+
+@pytest.mark.parametrize(
+    "last",
+    [np.zeros((2, 3), "f4"), np.zeros((5, 6), "u1"), np.zeros((5, 6, 3), "f4")],
+    ids=["size", "type", "colors"],
+)
+def test_pages_of_other_kinds_are_refused(forks: None, tmp_path: Path, last: np.ndarray) -> None:
+    path = tmp_path / "v.tif"
+    with tifffile.TiffWriter(path) as file:
+        for page in [*samples.FIELD.astype("f4"), last]:
+            file.write(page, photometric="minisblack" if page.ndim == 2 else "rgb", metadata=None)
+    with pytest.raises(DataError, match="page 5 differs in size, type or colors from the first"):
+        read_volume(path)
+
+
+def test_further_images_of_ome_are_told(
+    forks: None, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "v.ome.tif"
+    with tifffile.TiffWriter(path) as file:
+        for factor in (1, 2):
+            file.write(factor * samples.FIELD, photometric="minisblack", metadata={"axes": "ZYX"})
+    np.testing.assert_array_equal(read_volume(path).values, samples.FIELD)
+    assert "images after the first are left out: 1" in caplog.text
 
 
 @pytest.mark.parametrize("text", [b"", b"no JSON", b"[1]", b'{"error": "x"}'])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -115,6 +116,13 @@ def _ome_zarr(path: Path) -> None:
     group.attrs["multiscales"] = [{"version": "0.4", "axes": axes, "datasets": levels}]
 
 
+def _tree(path: Path) -> None:
+    """xarray's tree: a group sees the coordinates of those above it."""
+    positions = {a: s * np.arange(n) for a, s, n in zip("zyx", (2.0, 0.5, 0.5), A.shape, strict=True)}
+    groups = {"/": xarray.Dataset(coords=positions), "/a/b": xarray.Dataset({"v": (("z", "y", "x"), A)})}
+    xarray.DataTree.from_dict(groups).to_zarr(str(path), consolidated=False)
+
+
 def _sform(path: Path) -> None:
     image = nibabel.Nifti1Image(A.transpose(2, 1, 0), np.diag([0.5, 0.5, 2.0, 1]))
     image.header.set_zooms((0.5, 0.5, 2.0))
@@ -154,6 +162,7 @@ SPACINGS: dict[str, Callable[[Path], None]] = {
         p, A, imagej=True, resolution=(2, 2), metadata={"spacing": 2.0, "unit": "um"}
     ),
     "v.ome.zarr": _ome_zarr,
+    "tree.zarr": _tree,
     "v.nii": _sform,
     "v.h5": _hdf5,
     "v.npz": lambda p: np.savez(p, v=A, spacing=np.array([2.0, 0.5, 0.5])),
@@ -294,6 +303,36 @@ def test_the_content_picks_the_reader(tmp_path: Path) -> None:
     for name, data in files.items():
         (tmp_path / name).write_bytes(data)
         np.testing.assert_array_equal(read_volume(tmp_path / name).values, A)
+
+
+@pytest.mark.parametrize("kind", [nibabel.Nifti1Pair, nibabel.AnalyzeImage])
+@pytest.mark.parametrize("first", [(2,), (8, 5), (8, 0, 8, 0, 8, 8)])
+def test_numbers_that_begin_as_dicom_does(tmp_path: Path, kind: type, first: tuple[int, ...]) -> None:
+    """Without a preamble, a tag alone makes no DICOM file."""
+    values = A.astype("i4" if len(first) == 1 else "i2")
+    values[0, 0, : len(first)] = first
+    nibabel.save(kind(values.transpose(2, 1, 0), np.eye(4)), tmp_path / "v.img")
+    np.testing.assert_array_equal(read_volume(tmp_path / "v.img").values, values)
+
+
+def test_plot3d_of_two_grids_is_no_dicom(tmp_path: Path) -> None:
+    path = samples.write(tmp_path, "v.xyz")
+    for file in (path, path.with_suffix(".q")):
+        head, data = file.read_bytes()[:12], file.read_bytes()[12:]
+        file.write_bytes(struct.pack("<i", 2) + 2 * head + 2 * data)
+    assert "Density" in [v.name for v in list_variables(path)]
+
+
+@pytest.mark.parametrize("name", ["v1.mnc", "v2.mnc"])
+def test_minc_as_nibabel_reads_it(tmp_path: Path, name: str) -> None:
+    path = samples.write(tmp_path, name)
+    other = tmp_path / "other"
+    other.write_bytes(path.read_bytes())
+    volume = read_volume(path)
+    np.testing.assert_array_equal(read_volume(other).values, volume.values)
+    image = nibabel.load(path)
+    np.testing.assert_array_equal(volume.values, np.asarray(image.dataobj))
+    assert volume.spacing == image.header.get_zooms()[::-1]
 
 
 def test_plot3d_by_either_name(tmp_path: Path) -> None:

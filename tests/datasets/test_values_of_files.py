@@ -15,8 +15,10 @@ from pathlib import Path
 import h5py
 import netCDF4
 import nibabel
+import nrrd
 import numpy as np
 import pytest
+import SimpleITK as sitk
 import tifffile
 import zarr
 
@@ -57,6 +59,13 @@ def _hdf5(path: Path, dims: tuple[str, ...], values: np.ndarray) -> None:
             file["v"].dims[axis].attach_scale(file[name])
 
 
+def _labels(path: Path, dims: tuple[str, ...], values: np.ndarray) -> None:
+    with h5py.File(path, "w") as file:
+        file["v"] = values
+        for axis, name in enumerate(dims):
+            file["v"].dims[axis].label = name
+
+
 def _zarr(path: Path, dims: tuple[str, ...], values: np.ndarray) -> None:
     array = zarr.create_array(path, name="v", shape=values.shape, dtype="f4", dimension_names=dims)
     array[:] = values
@@ -66,6 +75,7 @@ NAMED: dict[str, Callable[[Path, tuple[str, ...], np.ndarray], None]] = {
     "v.nc": _netcdf,
     "classic.nc": _netcdf,
     "v.h5": _hdf5,
+    "labels.h5": _labels,
     "v.zarr": _zarr,
 }
 
@@ -102,6 +112,56 @@ def test_pictures_are_no_volume(tmp_path: Path, dims: tuple[str, ...]) -> None:
 def test_an_axis_named_c_of_space_stays(tmp_path: Path) -> None:
     _netcdf(tmp_path / "v.nc", ("a", "b", "c"), FIELD)
     np.testing.assert_array_equal(read_volume(tmp_path / "v.nc").values, FIELD)
+
+
+def test_an_axis_without_positions_has_the_mean_distance(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with h5py.File(tmp_path / "v.h5", "w") as file:
+        file["v"] = FIELD
+        for axis, (name, step) in enumerate({"z": None, "y": 3.0, "x": 1.0}.items()):
+            file["v"].dims[axis].label = name
+            if step is not None:
+                file[name] = step * np.arange(FIELD.shape[axis])
+    micrometers = {"axes": "ZYX", "PhysicalSizeX": 1.0, "PhysicalSizeY": 3.0}
+    tifffile.imwrite(tmp_path / "v.ome.tif", FIELD, photometric="minisblack", metadata=micrometers)
+    for name in ("v.h5", "v.ome.tif"):
+        assert read_volume(tmp_path / name).spacing == pytest.approx((1.0, 3.0, 2.0))
+        assert f"{name}: no sample distance along z: the mean of the others is taken" in caplog.text
+
+
+def test_a_filter_that_hdf5_lacks_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "v.h5"
+    with h5py.File(path, "w") as file:
+        options = {"chunks": FIELD.shape, "compression": 511, "allow_unknown_filter": True}
+        data = file.create_dataset("v", FIELD.shape, "f4", **options)
+        data.id.write_direct_chunk((0, 0, 0), bytes(999))
+    with pytest.raises(DataError, match=r"'v' is packed by filter 511 .*, which HDF5 lacks here") as caught:
+        read_volume(path)
+    assert "h5repack" in caught.value.remedy
+
+
+def test_what_hdf5_says_of_a_damaged_chunk_is_passed_on(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "v.h5", "w") as file:
+        data = file.create_dataset("v", FIELD.shape, "f4", chunks=FIELD.shape, compression="gzip")
+        data.id.write_direct_chunk((0, 0, 0), bytes(99))
+    with pytest.raises(DataError, match=r"its values cannot be read \(OSError: .*filter returned failure"):
+        read_volume(tmp_path / "v.h5")
+
+
+@pytest.mark.parametrize("name", ["v.h5", "v.zarr"])
+def test_arrays_that_are_no_real_numbers_are_named(tmp_path: Path, name: str) -> None:
+    arrays = {"a": FIELD.astype("c8"), "b": FIELD.astype([("re", "f4")]), "text": np.array(["a", "bc"], "S2")}
+    with h5py.File(tmp_path / "v.h5", "w") as file:
+        file.update(arrays)
+    group = zarr.open_group(tmp_path / "v.zarr", mode="w", zarr_format=2)
+    for key, values in arrays.items():
+        group.create_array(key, data=values)
+    group.create_array("names", shape=(2,), dtype=str, attributes={"_ARRAY_DIMENSIONS": ["n"]})
+    with pytest.raises(DataError, match="no three-dimensional numeric array") as caught:
+        read_volume(tmp_path / name)
+    for described in ("a [4, 5, 6] (complex64)", "b [4, 5, 6] (compound)", "text [2] (text)"):
+        assert described in caught.value.remedy
 
 
 # Scale and offset -------------------------------------------------------------------------------------------
@@ -278,6 +338,28 @@ def test_nrrd_pictures_are_no_volume(tmp_path: Path, fields: str) -> None:
         read_volume(path)
 
 
+@pytest.mark.parametrize("kind", ["RGB-color", "HSV-color", "XYZ-color", "3-color"])
+def test_nrrd_colors(tmp_path: Path, kind: str) -> None:
+    colors = np.stack([FIELD, 2 * FIELD, FIELD], -1).transpose(3, 2, 1, 0)
+    nrrd.write(str(tmp_path / "v.nrrd"), colors, {"kinds": [kind, *["domain"] * 3]})
+    with pytest.raises(DataError, match="no single values"):
+        read_volume(tmp_path / "v.nrrd")
+    np.testing.assert_array_equal(read_volume(tmp_path / "v.nrrd", array="value.y").values, 2 * FIELD)
+
+
+@pytest.mark.parametrize(
+    ("fields", "reason"),
+    [
+        ("sizes: 6 5 4", "it lacks type"),
+        ("sizes: 6 5 4\ntype: uchar\ndata file: LIST\na.raw\nb.raw", "its data lie in several files"),
+        ("sizes: 6 5 4\ntype: uchar\ndata file: v%02d.raw 0 3 1", "its data lie in several files"),
+    ],
+)
+def test_nrrd_headers_that_are_refused(tmp_path: Path, fields: str, reason: str) -> None:
+    with pytest.raises(DataError, match=reason):
+        read_volume(_nrrd(tmp_path / "v.nhdr", fields, b""))
+
+
 @pytest.mark.parametrize("kinds", ["??? ??? ???", "domain domain domain", "space space space"])
 def test_nrrd_axes_of_space(tmp_path: Path, kinds: str) -> None:
     values = FIELD.astype("u1")
@@ -316,6 +398,43 @@ def test_nifti_of_no_time_steps(tmp_path: Path) -> None:
     (tmp_path / "v.nii").write_bytes(header)
     with pytest.raises(DataError, match="has no samples \\(size 6 x 5 x 4 x 0\\)"):
         read_volume(tmp_path / "v.nii")
+
+
+@pytest.mark.parametrize("shape", [(6, 5), (6,)])
+def test_nifti_of_less_than_three_axes(tmp_path: Path, shape: tuple[int, ...]) -> None:
+    nibabel.save(nibabel.Nifti1Image(np.ones(shape, "f4"), np.eye(4)), tmp_path / "v.nii")
+    with pytest.raises(DataError, match=f"is {len(shape)}-D data"):
+        read_volume(tmp_path / "v.nii")
+
+
+def test_remarks_of_nibabel_name_the_file(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "v.nii"
+    nibabel.save(nibabel.Nifti1Image(FIELD.transpose(2, 1, 0), None), path)
+    header = bytearray(path.read_bytes())
+    header[80:92] = bytes(12)
+    path.write_bytes(header)
+    np.testing.assert_array_equal(read_volume(path).values, FIELD)
+    assert f"{path}: pixdim" in caplog.text
+    assert "pixdim" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["v.npy", "v.nii", "v.mha", "v.nrrd"])
+def test_bytes_after_the_values_are_told(tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / name
+    if name == "v.npy":
+        np.save(path, FIELD)
+    elif name == "v.nii":
+        nibabel.save(nibabel.Nifti1Image(FIELD.transpose(2, 1, 0), np.eye(4)), path)
+    elif name == "v.mha":
+        sitk.WriteImage(sitk.GetImageFromArray(FIELD), path)
+    else:
+        nrrd.write(str(path), FIELD.transpose(2, 1, 0), {"encoding": "raw"})
+    with path.open("ab") as file:
+        file.write(b"\n\n\n")
+    np.testing.assert_array_equal(read_volume(path).values, FIELD)
+    assert f"{path}: bytes after its values are left out: 3" in caplog.text
 
 
 def test_megametres_are_no_millimetres() -> None:

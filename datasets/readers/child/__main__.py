@@ -39,8 +39,7 @@ def main() -> None:
     except MemoryError:
         _answer(answers, {"error": f"needs more than {int(memory) >> 20} MiB of memory to be read"})
     except Exception as error:
-        text = " ".join(str(error).split())[-300:]
-        _answer(answers, {"error": f"cannot be read ({type(error).__name__}: {text})"})
+        _answer(answers, {"error": f"cannot be read ({_text(error)})"})
 
 
 def _limit(memory: int) -> None:
@@ -59,6 +58,11 @@ def _limit(memory: int) -> None:
 def _answer(answers: BinaryIO, answer: dict[str, Any]) -> None:
     answers.write(json.dumps(answer).encode() + b"\n")
     answers.flush()
+
+
+def _text(error: Exception) -> str:
+    """An error of a library in one bounded line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())[-200:]}"
 
 
 def _said(error: DataError, path: str) -> dict[str, str]:
@@ -84,7 +88,7 @@ def _send(answers: BinaryIO, about: dict[str, Any], parts: dict[str, Any], path:
         print(json.dumps(_said(error, path)), file=sys.stderr, flush=True)
         os._exit(REFUSED)
     except Exception as error:
-        print(f"its values cannot be read ({type(error).__name__})", file=sys.stderr, flush=True)
+        print(f"its values cannot be read ({_text(error)})", file=sys.stderr, flush=True)
         os._exit(3)  # without an error message among the values
 
 

@@ -14,7 +14,7 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import SimpleITK as sitk
@@ -30,9 +30,11 @@ from econgs_bench.datasets.readers.fields import channels_of
 _OFFSETS, _DOSE = 0x3004000C, 0x3004000E
 _IMAGER, _SCANNED = 0x00181164, 0x00182010
 _BITS, _SIGNED = 0x00280101, 0x00280103
+_PADDING, _PADDING_LIMIT = 0x00280120, 0x00280121
 _TAGS = (
     elements.POSITION, elements.ORIENTATION, elements.SPACING, elements.BETWEEN, elements.THICKNESS,
     elements.SLOPE, elements.INTERCEPT, _OFFSETS, _DOSE, _IMAGER, _SCANNED, _BITS, _SIGNED,
+    _PADDING, _PADDING_LIMIT,
 )  # fmt: skip
 _NO_SLICES = {
     0x00181063: "time", 0x00181065: "time", 0x00540010: "energy window", 0x00540020: "detector",
@@ -40,8 +42,8 @@ _NO_SLICES = {
     0x00540100: "time",
 }  # fmt: skip
 """What the frames of a file may be counted by that is no place (PS3.3 C.7.6.5, C.8.4.8)."""
-_PIXELS, _END = b"\xe0\x7f\x10\x00", b"\xfe\xff\xdd\xe0"
-"""Tags of pixel data and of the end of a sequence."""
+_PIXELS, _END = 0x7FE00010, b"\xfe\xff\xdd\xe0"
+"""Tag of pixel data, and that of the end of a sequence, in files that compress them (little-endian)."""
 _UNEVEN = 0.01
 """Deviation of a gap between slices, in gaps, beyond which a slice counts as missing."""
 _EXACT = 1 << 24
@@ -58,6 +60,7 @@ class _File:
         frames: values by tag of each frame.
         patches: first byte and new bytes of what GDCM must not apply.
         rescale: slope and intercept of each frame that GDCM does not apply; None where it does.
+        padding: lowest and highest stored value that stands for no pixel (PS3.3 C.7.5.1.1.2); None for none.
         dtype: of its values.
     """
 
@@ -68,6 +71,7 @@ class _File:
     frames: list[Values]
     patches: list[tuple[int, bytes]]
     rescale: list[tuple[float, float]] | None
+    padding: tuple[float, float] | None
     dtype: np.dtype
 
 
@@ -107,7 +111,7 @@ class Series:
         return {"variables": variables} | self._notice()
 
     def read(self, read: str, step: int) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Values (z, y, x) or (z, y, x, components), frame by frame, and positions along the axes."""
+        """Values (z, y, x) or (z, y, x, components), frame by frame, positions along the axes, and a mask."""
         files, self._notices = self._stacks[read], []
         if len({(file.size[:2], file.components) for file in files}) > 1:
             raise self._error("has slices of different sizes")
@@ -124,8 +128,12 @@ class Series:
         shape: tuple[int, ...] = (len(order), files[0].size[1], files[0].size[0])
         if files[0].components > 1:
             shape += (files[0].components,)
-        values = Slabs(shape, dtype, _pieces(files, order, dtype))
-        return {"of_cells": False} | self._notice(), {"values": values, **axes}
+        padded = files[0].components == 1 and any(file.padding for file in files)
+        mask = np.ones(shape[:3], bool) if padded else None
+        values = Slabs(shape, dtype, _pieces(files, order, dtype, mask))
+        # The mask comes last: it is filled while the values are sent.
+        parts = {"values": values, **axes} | ({} if mask is None else {"mask": mask})
+        return {"of_cells": False} | self._notice(), parts
 
     def _notice(self) -> dict[str, str]:
         return {"notice": "; ".join(self._notices)} if self._notices else {}
@@ -298,7 +306,7 @@ def _opened(path: str) -> _File:
     dtype = _type(frames, rescale, np.dtype(_NUMPY.get(reader.GetPixelID(), "f8")))
     return _File(
         path, (x, y, n), reader.GetNumberOfComponents(), (size[0], size[1], (*size, 1.0)[2]), frames, patches,
-        rescale, dtype,
+        rescale, _padding(top), dtype,
     )  # fmt: skip
 
 
@@ -361,17 +369,41 @@ def _type(frames: list[Values], rescale: list[tuple[float, float]] | None, dtype
     return np.dtype(np.float32 if exact else np.float64)
 
 
-def _pieces(files: list[_File], order: list[int], dtype: np.dtype) -> Iterator[NDArray[Any]]:
-    """The values of the frames, one by one; of a series, a file is open at a time."""
-    if len(files) == 1:
-        image = _image(files[0])
-        values = _array(image, files[0])
-        for at in order:
-            yield _converted(values[at], files[0], at, dtype)
-        return
-    for at in order:
-        image = _image(files[at])
-        yield _converted(_array(image, files[at])[0], files[at], 0, dtype)
+def _padding(top: Values) -> tuple[float, float] | None:
+    """Lowest and highest stored value that stands for no pixel, in the sign of the pixels."""
+    if _PADDING not in top:
+        return None
+    half = 1 << 15 if top.get(_SIGNED, (0.0,))[0] else 0
+    ends = [(top[tag][0] + half) % (1 << 16) - half for tag in (_PADDING, _PADDING_LIMIT) if tag in top]
+    return min(ends), max(ends)
+
+
+def _pieces(
+    files: list[_File], order: list[int], dtype: np.dtype, mask: NDArray[np.bool_] | None
+) -> Iterator[NDArray[Any]]:
+    """The values of the frames, one by one, and what is valid of them into the mask.
+
+    Of a series, a file is open at a time.
+    """
+    whole = len(files) == 1
+    for k, at in enumerate(order):
+        file, number = (files[0], at) if whole else (files[at], 0)
+        if k == 0 or not whole:
+            image = _image(file)
+            values = _array(image, file)
+        if mask is not None and file.padding is not None:
+            mask[k] = _is_pixel(values[number], file, number)
+        yield _converted(values[number], file, number, dtype)
+
+
+def _is_pixel(values: NDArray[Any], file: _File, at: int) -> NDArray[np.bool_]:
+    """Which values of a frame, as GDCM gives them, are not stored as padding."""
+    assert file.padding is not None
+    frame = file.frames[at] if file.rescale is None else {}
+    slope, intercept = frame.get(elements.SLOPE, (1.0,))[0], frame.get(elements.INTERCEPT, (0.0,))[0]
+    low, high = sorted(slope * end + intercept for end in file.padding)
+    margin = abs(slope) / 2.0
+    return (values < low - margin) | (values > high + margin)
 
 
 def _image(file: _File) -> Any:
@@ -409,7 +441,7 @@ def _check_whole(file: Path) -> None:
     """Refuse a DICOM file without whole pixel data: ITK fills what is missing with zeros."""
     with file.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
         try:
-            whole = _is_whole(elements.inflated(data) or data)
+            whole = _is_whole(elements.inflated(data) or data, elements.byte_order(data))
         except (elements.Malformed, struct.error):
             whole = False
     if not whole:
@@ -417,13 +449,14 @@ def _check_whole(file: Path) -> None:
         raise DataError(file.parent, reason, "Copy it again, or move what is no picture out of the folder")
 
 
-def _is_whole(data: elements.Bytes) -> bool:
-    at, whole = data.find(_PIXELS), False
+def _is_whole(data: elements.Bytes, order: Literal["little", "big"]) -> bool:
+    pixels = elements.packed(_PIXELS, order)
+    at, whole = data.find(pixels), False
     while at >= 0 and not whole:
         explicit = data[at + 4 : at + 6] in (b"OB", b"OW")
         place = at + (8 if explicit else 4)
-        length = int.from_bytes(data[place : place + 4], "little")
+        length = int.from_bytes(data[place : place + 4], order)
         compressed = length == 0xFFFFFFFF  # a sequence with an end of its own
         whole = data.rfind(_END) > place if compressed else 0 < length <= len(data) - place - 4
-        at = data.find(_PIXELS, at + 1)
+        at = data.find(pixels, at + 1)
     return whole

@@ -11,6 +11,7 @@ import re
 import struct
 import zlib
 from dataclasses import dataclass, field
+from typing import Literal
 
 ORIENTATION, POSITION = 0x00200037, 0x00200032
 SPACING, BETWEEN, THICKNESS = 0x00280030, 0x00180088, 0x00180050
@@ -91,10 +92,23 @@ def inflated(data: Bytes) -> bytes | None:
     return values
 
 
+def byte_order(data: Bytes) -> Literal["little", "big"]:
+    """The order of bytes of the numbers in a file.
+
+    Raises:
+        Malformed: the meta information cannot be read.
+    """
+    return "big" if _begin(data)[1] == _BIG else "little"
+
+
+def packed(tag: int, order: Literal["little", "big"]) -> bytes:
+    """A tag as it stands in a file."""
+    return (tag >> 16).to_bytes(2, order) + (tag & 0xFFFF).to_bytes(2, order)
+
+
 def names_table(data: Bytes) -> bool:
     """Whether a file may have a Modality LUT: its tag is among the bytes."""
-    tag = _TAG.pack(TABLE >> 16, TABLE & 0xFFFF)
-    return (inflated(data) or data).find(tag) >= 0
+    return (inflated(data) or data).find(packed(TABLE, byte_order(data))) >= 0
 
 
 def read(data: Bytes) -> Elements:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.readers.child.parts import Slabs
-from econgs_bench.datasets.readers.container import MOST_ARRAYS
+from econgs_bench.datasets.readers.container import LISTED, MOST_ARRAYS, of_dimension
 from econgs_bench.datasets.readers.finish import DEFLATE_LIMIT
 
 _SLAB = 1 << 24
@@ -38,7 +38,7 @@ class Hdf5:
         entries: list[dict[str, Any]] = []
 
         def visit(name: str, item: Any) -> bool | None:
-            if isinstance(item, h5py.Dataset) and item.shape is not None and item.dtype.kind in "iufbS":
+            if isinstance(item, h5py.Dataset) and item.shape is not None and item.dtype.kind in LISTED:
                 about = {"name": name, "shape": item.shape, "dtype": item.dtype.str}
                 attributes = _attributes(item)
                 about["spacing"] = _spacing(attributes)
@@ -62,9 +62,20 @@ class Hdf5:
             start = offset + (0 if first is None else first * size)
             return {}, {"values": Slabs(shape, item.dtype, offset=start)}
         path = Path(self._path)
+        _check_filters(path, item)
         left_out = _check_sources(path, item) if item.is_virtual else _check_stored(path, item)
         notice = {"notice": f"{left_out}: they have its fill value {item.fillvalue}"} if left_out else {}
         return notice, {"values": Slabs(shape, item.dtype, _pieces(item, first, shape, size))}
+
+
+def _check_filters(path: Path, item: h5py.Dataset) -> None:
+    """Refuse values that are packed in a way for which the HDF5 library here has no filter."""
+    created = item.id.get_create_plist()
+    for code, _, _, name in map(created.get_filter, range(created.get_nfilters())):
+        if not h5py.h5z.filter_avail(code):
+            known = name.decode("utf-8", "replace") or "unnamed"
+            reason = f"{item.name.lstrip('/')!r} is packed by filter {code} ({known}), which HDF5 lacks here"
+            raise DataError(path, reason, "Repack it where that is known: h5repack -f GZIP=4 OLD NEW")
 
 
 def _is_as_in_memory(item: h5py.Dataset) -> bool:
@@ -113,6 +124,7 @@ def _check_sources(path: Path, item: h5py.Dataset, seen: frozenset[tuple[Path, s
             if not isinstance(found, h5py.Dataset) or not _holds(found, source):
                 reason = f"takes values from {source.dset_name!r} of {at}, which lacks them"
                 raise DataError(path, reason, "Copy all its files together")
+            _check_filters(at, found)
             if found.is_virtual:
                 _check_sources(at, found, frozenset(checked))
     if stored * _SPARSE + _ROOM < item.size * item.dtype.itemsize:
@@ -141,14 +153,15 @@ def _beside(path: Path, name: str) -> Path:
 
 
 def _dims(item: h5py.Dataset) -> list[str]:
-    """Names of the dimension scales; a scale is its own dimension."""
+    """Names of the dimension scales, else of the axes; a scale is its own dimension."""
     names = [""] * item.ndim
     if item.is_scale and item.ndim == 1:
         return [str(item.name).lstrip("/")]
-    if "DIMENSION_LIST" in item.attrs:
-        for axis in range(item.ndim):
-            if len(item.dims[axis]):
-                names[axis] = str(item.dims[axis][0].name).lstrip("/")
+    for axis in range(item.ndim) if {"DIMENSION_LIST", "DIMENSION_LABELS"} & set(item.attrs) else ():
+        if len(item.dims[axis]):
+            names[axis] = str(item.dims[axis][0].name).lstrip("/")
+        elif label := str(item.dims[axis].label):
+            names[axis] = of_dimension(label, str(item.name).lstrip("/"), item.file)
     return names
 
 

@@ -15,6 +15,7 @@ from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.readers.child.dicom import Series
 from econgs_bench.datasets.readers.content import suffix_by_content
 from econgs_bench.datasets.readers.fields import channels_of
+from econgs_bench.datasets.readers.finish import left_out
 
 
 def open_source(path: str) -> Images | Series:
@@ -48,7 +49,7 @@ class Images:
     def read(self, read: str, step: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Values (z, y, x) or (z, y, x, components), and positions along the axes."""
         del read
-        _check_meta(self._path)
+        left = _check_meta(self._path)
         image = sitk.ReadImage(str(self._path))
         values = sitk.GetArrayFromImage(image)
         while values.ndim - (image.GetNumberOfComponentsPerPixel() > 1) > 4:
@@ -56,7 +57,7 @@ class Images:
         if values.ndim - (image.GetNumberOfComponentsPerPixel() > 1) == 4:
             values = values[step]
         head = _head(self._path)
-        about: dict[str, Any] = {"of_cells": False} | _scale(head)
+        about = {"of_cells": False, "notice": "; ".join(filter(None, (_scale(head), left)))}
         # Distances of one may be what ITK takes without any.
         if set(image.GetSpacing()) == {1.0} and b"ElementS" not in head:
             return about, {"values": values}
@@ -71,14 +72,14 @@ def _head(path: Path) -> bytes:
         return file.read(4096).partition(b"ElementDataFile")[0]
 
 
-def _scale(head: bytes) -> dict[str, str]:
-    """A notice where the header has a scale: ITK and VTK give values as stored."""
+def _scale(head: bytes) -> str:
+    """A line where the header has a scale: ITK and VTK give values as stored."""
     pattern = rb"^ElementToIntensityFunction(Slope|Offset)[ \t]*=[ \t]*(\S+)"
     given = dict(re.findall(pattern, head, re.MULTILINE))
     if float(given.get(b"Slope", 1)) == 1.0 and float(given.get(b"Offset", 0)) == 0.0:
-        return {}
+        return ""
     text = ", ".join(f"{name.decode()} {value.decode()}" for name, value in sorted(given.items()))
-    return {"notice": f"values are as stored: ElementToIntensityFunction ({text}) is not applied, as in ITK"}
+    return f"values are as stored: ElementToIntensityFunction ({text}) is not applied, as in ITK"
 
 
 _BYTES = {
@@ -87,8 +88,12 @@ _BYTES = {
 }  # fmt: skip
 
 
-def _check_meta(path: Path) -> None:
-    """Refuse MetaImage data of another size than the header says: ITK fills what is missing with garbage."""
+def _check_meta(path: Path) -> str:
+    """Refuse MetaImage data of less than the header says: ITK fills what is missing with garbage.
+
+    Returns:
+        A line on bytes after the values, else "".
+    """
     header: dict[str, str] = {}
     with path.open("rb") as file:
         for line in file:
@@ -108,11 +113,14 @@ def _check_meta(path: Path) -> None:
     if kind not in _BYTES:
         raise DataError(path, f"unknown type {kind!r}", f"Known types: {', '.join(_BYTES)}")
     need = math.prod(dims) * _BYTES[kind] * int(header.get("ElementNumberOfChannels", "1"))
-    if header.get("CompressedData", "False").upper().startswith("T"):
+    packed = header.get("CompressedData", "False").upper().startswith("T")
+    binary = not header.get("BinaryData", "True").upper().startswith("F")
+    if packed:
         need = int(header.get("CompressedDataSize", "1"))
-    elif header.get("BinaryData", "True").upper().startswith("F"):
+    elif not binary:
         need = 2 * math.prod(dims) - 1
     skip = int(header.get("HeaderSize", "0"))
     if size < need + max(skip, 0):
         reason = f"is truncated: {size} bytes of data where its header needs {need}"
         raise DataError(path, reason, "Copy it again")
+    return left_out(size, need + skip) if binary and not packed and skip >= 0 else ""

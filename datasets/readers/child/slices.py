@@ -32,12 +32,15 @@ def open_source(path: str) -> Stack | Folder:
 
 
 class Stack:
-    """A TIFF file: its first series of pages."""
+    """A TIFF file: its pages as one stack, or the first of OME's images."""
 
     def __init__(self, path: Path) -> None:
+        import tifffile
+
         self._path = path
-        self._file = _opened(path)
-        series = self._file.series[0]
+        self._file = tifffile.TiffFile(path)
+        self._series, self._line = _series(path, self._file)
+        series = self._series
         axes = [(letter, n) for letter, n in zip(series.axes, series.shape, strict=True) if n > 1]
         self._letters = "".join(letter for letter, _ in axes)
         self._shape = tuple(n for _, n in axes)
@@ -55,16 +58,16 @@ class Stack:
     def read(self, read: str, step: int) -> tuple[dict[str, Any], dict[str, Any]]:
         """Values (z, y, x) or (z, y, x, components), and positions where the file has distances."""
         del read
-        values = self._file.series[0].asarray().reshape(self._shape)
+        values = self._series.asarray().reshape(self._shape)
         values = values.transpose([at for at in self._order if at >= 0]).reshape(self._sizes())[step]
         if values.shape[-1] == 1:
             values = values[..., 0]
-        scale, offset, line = _calibration(self._file, self._file.series[0].keyframe)
+        scale, offset, line = _calibration(self._file, self._series.keyframe)
         parts = {"values": values, **self._positions(values.shape)}
         if (scale, offset) != (1.0, 0.0):
             kind = np.dtype(unpacked_type(values.dtype, scale, offset))
             parts["values"] = Slabs(values.shape, kind, (unpacked(part, scale, offset) for part in values))
-        return {"of_cells": False, "notice": line}, parts
+        return {"of_cells": False, "notice": "; ".join(filter(None, (line, self._line)))}, parts
 
     def _sizes(self) -> list[int]:
         return [self._shape[at] if at >= 0 else 1 for at in self._order]
@@ -87,15 +90,27 @@ class Stack:
         return {name: d * np.arange(n, dtype=np.float64) for name, d, n in along if d is not None}
 
 
-def _opened(path: Path) -> Any:
-    """A file whose first series has all its pages: tifffile makes one of each page that a loop writes."""
+def _series(path: Path, file: Any) -> tuple[Any, str]:
+    """All pages of a file as one series, and a line on images that are left out.
+
+    tifffile begins a series where pages differ in compression or strips, and one for each page that a loop
+    writes. Pages of reduced resolution are none of the stack.
+    """
     import tifffile
 
-    file = tifffile.TiffFile(path)
-    if not file.is_shaped or len(file.series) == 1:
-        return file
-    file.close()
-    return tifffile.TiffFile(path, is_shaped=False)
+    first, *others = file.series
+    if not others:
+        return first, ""
+    if file.is_ome or file.is_imagej or file.is_lsm:
+        return first, f"images after the first are left out: {len(others)}"
+    pages = [page for page in file.pages if not page.is_reduced]
+    kinds = [(page.shape, page.axes, page.dtype, page.photometric, page.extrasamples) for page in pages]
+    if (number := next((i for i, kind in enumerate(kinds) if kind != kinds[0]), 0)) > 0:
+        reason = f"page {number + 1} differs in size, type or colors from the first"
+        raise DataError(path, reason, "Write pages of one kind, without thumbnails, as one file")
+    shape, axes, dtype, *_ = kinds[0]
+    series = tifffile.TiffPageSeries(pages, shape=(len(pages), *shape), dtype=dtype, axes=f"I{axes}")
+    return series, ""
 
 
 def _of_ome(text: str) -> list[float | None] | None:
@@ -235,9 +250,11 @@ def _picture(file: Path) -> tuple[NDArray[Any], int, str]:
     """(y, x), or (y, x, components), the number of channels among the components, and a line on them."""
     if file.suffix.lower() == ".png":
         return *_png(file), ""
-    with _opened(file) as tiff:
+    import tifffile
+
+    with tifffile.TiffFile(file) as tiff:
         _check_pages(file, tiff)
-        series = tiff.series[0]
+        series, left = _series(file, tiff)
         axes = [(letter, n) for letter, n in zip(series.axes, series.shape, strict=True) if n > 1]
         letters = "".join(letter for letter, _ in axes)
         planes = len(letters) == 3 and letters[0] in "SC"
@@ -249,7 +266,7 @@ def _picture(file: Path) -> tuple[NDArray[Any], int, str]:
         values = np.moveaxis(values, 0, -1) if planes else values
         scale, offset, line = _calibration(tiff, series.keyframe)
         channels = _channels(series.keyframe, (*values.shape, 1)[2], "C" in letters)
-        return unpacked(values, scale, offset), channels, line
+        return unpacked(values, scale, offset), channels, "; ".join(filter(None, (line, left)))
 
 
 def _png(file: Path) -> tuple[NDArray[Any], int]:

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import base64
 import struct
-from collections.abc import Iterator
+import zipfile
+from collections.abc import AsyncIterator, Iterator
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import zarr
 from numpy.typing import NDArray
 
+from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.readers.child.parts import Slabs
-from econgs_bench.datasets.readers.container import MOST_ARRAYS
+from econgs_bench.datasets.readers.container import LISTED, MOST_ARRAYS, of_dimension
+from econgs_bench.datasets.readers.content import ZARR
 from econgs_bench.datasets.readers.lengths import in_one_unit
 
 _AXES = {"time": "t", "channel": "c"}
@@ -47,7 +51,7 @@ class Store:
 
     def __init__(self, path: str) -> None:
         self._path = path
-        root = zarr.open(path, mode="r")
+        root = _zipped(path) if Path(path).is_file() else zarr.open(path, mode="r")
         self._arrays: dict[str, zarr.Array] = {}
         self._images: dict[str, tuple[list[str], list[float] | None]] = {}  # OME-Zarr: axes, spacing
         self._levels: list[str] = []
@@ -88,14 +92,21 @@ class Store:
         """Name, shape, type, dimensions and attributes of each array."""
         entries = []
         for name, array in self._arrays.items():
-            if array.dtype.kind in "iufb" and name not in self._levels:
+            if array.dtype.kind in LISTED and name not in self._levels:
                 entry = {"name": name, "shape": array.shape, "dtype": array.dtype.str}
                 axes, spacing = self._images.get(name, ([], None))
-                dims = axes if len(axes) == array.ndim else _dims(name, array)
+                dims = axes if len(axes) == array.ndim else self._dims(name, array)
                 entries.append({**entry, "dims": dims, "attributes": _attributes(array), "spacing": spacing})
         levels = [name for name in self._levels if name in self._arrays]
         left_out = f"smaller copies of its images are left out: {', '.join(levels[:8])}"
         return {"entries": entries} | ({"notice": left_out} if levels else {})
+
+    def _dims(self, name: str, array: Any) -> list[str]:
+        """Arrays of the dimensions' names: version 3's, or those of xarray's attribute of version 2."""
+        names = getattr(array.metadata, "dimension_names", None) or array.attrs.get("_ARRAY_DIMENSIONS")
+        if not names or len(names) != array.ndim:
+            return [""] * array.ndim
+        return [of_dimension(str(dim or ""), name, self._arrays) for dim in names]
 
     def read(self, read: str, first: int | None) -> tuple[dict[str, Any], dict[str, Slabs]]:
         """An array, or its part at one index of the first axis."""
@@ -105,6 +116,27 @@ class Store:
         notice = {"notice": f"{text} {array.fill_value}"} if absent else {}
         shape = array.shape if first is None else array.shape[1:]
         return notice, {"values": Slabs(shape, array.dtype, _pieces(array, first, shape))}
+
+
+class _Archive(zarr.storage.ZipStore):
+    """An archive whose lists keep to a folder: zarr (3.1) counts ``zarr.json`` to the array ``z``."""
+
+    async def list_prefix(self, prefix: str) -> AsyncIterator[str]:
+        """Keys below a folder, "" for all."""
+        folder = f"{prefix.rstrip('/')}/" if prefix else ""
+        async for key in super().list_prefix(folder):
+            yield key
+
+
+def _zipped(path: str) -> zarr.Array | zarr.Group:
+    """The store in an archive, which may hold the store's folder."""
+    with zipfile.ZipFile(path) as archive:
+        names = archive.namelist()
+    roots = [folder for folder, _, file in (name.rpartition("/") for name in names) if file in ZARR]
+    if not roots:
+        raise DataError(path, "holds no array or group of Zarr", "Zip a Zarr folder")
+    store = _Archive(path, mode="r")
+    return zarr.open(store, path=min(roots, key=len), mode="r")
 
 
 def _pieces(array: Any, first: int | None, shape: tuple[int, ...]) -> Iterator[NDArray[Any]]:
@@ -117,15 +149,6 @@ def _pieces(array: Any, first: int | None, shape: tuple[int, ...]) -> Iterator[N
         yield np.asarray(array[part] if first is None else array[first, part])
 
 
-def _dims(name: str, array: Any) -> list[str]:
-    """Names of the dimensions in the array's group: version 3's, or xarray's attribute of version 2."""
-    names = getattr(array.metadata, "dimension_names", None) or array.attrs.get("_ARRAY_DIMENSIONS")
-    if not names or len(names) != array.ndim:
-        return [""] * array.ndim
-    group = name.rpartition("/")[0]
-    return [f"{group}/{dim}".lstrip("/") if dim else "" for dim in names]
-
-
 def _attributes(array: Any) -> dict[str, Any]:
     entries: dict[str, Any] = {}
     for name, value in array.attrs.items():
@@ -134,7 +157,8 @@ def _attributes(array: Any) -> dict[str, Any]:
             entries[name] = value
         elif len(numbers) <= 100 and all(isinstance(n, int | float) for n in numbers):
             entries[name] = numbers
-    if "_ARRAY_DIMENSIONS" in array.attrs and "_FillValue" not in entries and array.fill_value is not None:
+    filled = array.fill_value is not None and array.dtype.kind in "iufb"
+    if "_ARRAY_DIMENSIONS" in array.attrs and "_FillValue" not in entries and filled:
         entries["_FillValue"] = [array.fill_value.item()]  # xarray keeps it there in version 2
     fill = entries.get("_FillValue")
     if isinstance(fill, str) and array.dtype.kind == "f":
