@@ -222,6 +222,7 @@ def _by_truth(rows: Sequence[dict[str, Any]]) -> None:
         if not absent(row["truth"]):
             truths[_of_scene(row)][row["truth"]] += 1
             example.setdefault(row["truth"], row)
+    names = _names_of_others(measured, truths)
     for row in measured:
         if absent(row["truth"]):
             row["differences"].setdefault(DATASET, "truth unknown: the record does not say what it is of")
@@ -236,9 +237,30 @@ def _by_truth(rows: Sequence[dict[str, Any]]) -> None:
         elif str(row["renderer"]) != str(one["renderer"]):
             what, other = f"pictures of {row['renderer']}", str(one["renderer"])
         else:
-            what, other = f"other pictures {str(row['truth'])[:4]}", "those of most rows"
+            what, other = f"other pictures {names[(*_of_scene(row), row['truth'])]}", "those of most rows"
         row["differences"].setdefault(DATASET, f"another truth: {what} instead of {other}")
         row["dataset"] = f"{row['dataset']}, {what}"
+
+
+def _names_of_others(
+    rows: Sequence[Mapping[str, Any]], truths: Mapping[tuple[Any, ...], Counter[str]]
+) -> dict[tuple[Any, ...], str]:
+    """Scene and truth -> the hash of all scenes' truths of its place in the order of their first jobs."""
+    first: dict[tuple[Any, ...], str] = {}
+    for row in rows:
+        key = (*_of_scene(row), row["truth"])
+        first[key] = min(first.get(key, "~"), str(row["finished"]))
+    members: dict[tuple[Any, ...], list[tuple[Any, ...]]] = defaultdict(list)
+    for scene, counts in truths.items():
+        others = sorted((first[(*scene, truth)], truth) for truth in counts)
+        others = [one for one in others if one[1] != counts.most_common(1)[0][0]]
+        for place, (_, truth) in enumerate(others):
+            members[*scene[:4], place].append((*scene, truth))
+    return {
+        key: hashlib.sha256(" ".join(sorted(str(one[-1]) for one in own)).encode()).hexdigest()[:4]
+        for own in members.values()
+        for key in own
+    }
 
 
 def _of_scene(row: Mapping[str, Any]) -> tuple[Any, ...]:

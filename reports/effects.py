@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ Cells = dict[str, dict[str, dict[Any, float]]]
 """Dataset -> scene -> seed -> value, of one method."""
 LEAST_DATASETS = 3
 """Datasets from which their differences are the sample; with fewer it is the scenes."""
+LEAST_SHARE = 0.5
+"""Share of the datasets, and of the scenes of each, that a method needs to be ranked."""
 NO_SEED = "none in common"
 """In place of a seed: the mean over those of a method, of a scene of which the methods share no seed."""
 
@@ -25,7 +28,8 @@ class Effect:
 
     Attributes:
         mean: mean over datasets of the mean over their scenes and seeds; of ratios the natural logarithm.
-        half: half width of the 95 % interval; None where neither datasets, scenes nor seeds repeat.
+        half: half width of the 95 % interval; None where neither datasets, scenes nor seeds repeat, or only
+            seeds that change nothing.
         p: two-sided p-value of Student's t with the same standard error; None as ``half``.
         wins: number of datasets on which the first is better.
         datasets, scenes: that were compared.
@@ -73,7 +77,11 @@ def at_shared_seeds(cells: Mapping[str, Cells], ratio: bool) -> dict[str, Cells]
 
 
 def leads(
-    order: Sequence[str], cells: Mapping[str, Cells], better: int, ratio: bool
+    order: Sequence[str],
+    cells: Mapping[str, Cells],
+    better: int,
+    ratio: bool,
+    paces: Mapping[str, float] = MappingProxyType({}),
 ) -> tuple[tuple[Effect, ...], Mapping[str, Cells]]:
     """How far the first of some methods is ahead of each other one, never less than nothing.
 
@@ -85,17 +93,28 @@ def leads(
         cells: method -> values; all have the same scenes.
         better: 1 if higher is better, -1 if lower is.
         ratio: compare by quotient instead of difference.
+        paces: method -> time of a fixed piece of work where its values were measured. A lead that the
+            quotient of two explains is not significant.
 
     Returns:
         The leads, and the values that they are of.
     """
     for values in (cells, at_shared_seeds(cells, ratio)):
-        found = [effect(values[order[0]], values[name], better, ratio) for name in order[1:]]
+        found = [
+            effect(values[order[0]], values[name], better, ratio, pace_between(paces, order[0], name))
+            for name in order[1:]
+        ]
         known = tuple(one for one in found if one is not None)
         assert len(known) == len(found)  # all methods have the same scenes
         if all(one.mean >= 0.0 for one in known):
             break
     return known, values
+
+
+def pace_between(paces: Mapping[str, float], first: str, second: str) -> float:
+    """Quotient of two methods' paces, at least 1; 1 where one is not known."""
+    pair = [paces.get(name, math.nan) for name in (first, second)]
+    return max(pair) / min(pair) if all(value > 0 for value in pair) else 1.0
 
 
 def mean(values: Iterable[float], ratio: bool = False) -> float:
@@ -115,7 +134,7 @@ def mean_of(cells: Cells, ratio: bool) -> float:
     )
 
 
-def effect(first: Cells, second: Cells, better: int, ratio: bool) -> Effect | None:
+def effect(first: Cells, second: Cells, better: int, ratio: bool, pace: float = 1.0) -> Effect | None:
     """Compare two methods on the datasets, scenes and seeds that both have; None if there are none.
 
     The sampling variance is that of the datasets' means if there are at least three, else that of the scenes
@@ -127,6 +146,7 @@ def effect(first: Cells, second: Cells, better: int, ratio: bool) -> Effect | No
         second: those of the other.
         better: 1 if higher is better, -1 if lower is.
         ratio: compare by quotient instead of difference.
+        pace: a quotient of the values that the methods did not cause, at least 1.
     """
     differences = {
         dataset: scenes
@@ -138,25 +158,30 @@ def effect(first: Cells, second: Cells, better: int, ratio: bool) -> Effect | No
     of_scenes = [[mean(seeds.values()) for seeds in scenes.values()] for scenes in differences.values()]
     of_datasets = [mean(values) for values in of_scenes]
     middle = mean(of_datasets)
-    terms = [
-        _sampling([of_datasets]) if len(of_datasets) >= LEAST_DATASETS else _sampling(of_scenes),
-        _sampling([_of_seeds(differences)]),
-    ]
+    of_data = _sampling([of_datasets]) if len(of_datasets) >= LEAST_DATASETS else _sampling(of_scenes)
+    by_seed = _sampling([_of_seeds(differences)])
+    if of_data is None and by_seed is not None and by_seed.value == 0.0:
+        by_seed = None  # seeds change nothing, so they repeat nothing
     counts = [
         0 if NO_SEED in seeds else len(seeds) for scenes in differences.values() for seeds in scenes.values()
     ]
-    known = [term for term in terms if term is not None]
+    known = [term for term in (of_data, by_seed) if term is not None]
     error = Error.of(known) if known else None
     return Effect(
         middle,
         error.half if error is not None else None,
-        error.p_value(middle) if error is not None else None,
+        error.p_value(_beyond(abs(middle), math.log(pace))) if error is not None else None,
         sum(value > 0 for value in of_datasets),
         len(of_datasets),
         sum(map(len, of_scenes)),
         (min(counts), max(counts)),
         ratio,
     )
+
+
+def _beyond(distance: float, explained: float) -> float:
+    """How far a distance exceeds what is explained; 0 within rounding."""
+    return distance - explained if distance > explained + 1e-9 else 0.0
 
 
 def _differences(
@@ -189,9 +214,14 @@ def _of_seeds(differences: dict[str, dict[str, dict[Any, float]]]) -> list[float
 
 
 def _sampling(strata: Sequence[Sequence[float]]) -> Variance | None:
-    """Variance of the mean of some strata's means; None without repetition."""
+    """Variance of the mean of some strata's means; None without repetition.
+
+    A stratum of one value has the variance that the others have together.
+    """
     repeated = [np.asarray(values) for values in strata if len(values) > 1]
-    if len(repeated) < len(strata) or not repeated:
+    degrees = sum(len(values) - 1 for values in repeated)
+    if not degrees:
         return None
-    variance = sum(float(values.var(ddof=1)) / len(values) for values in repeated) / len(strata) ** 2
-    return Variance(variance, sum(len(values) - 1 for values in repeated))
+    pooled = sum(float(values.var(ddof=1)) * (len(values) - 1) for values in repeated) / degrees
+    terms = [float(np.var(values, ddof=1)) / len(values) if len(values) > 1 else pooled for values in strata]
+    return Variance(sum(terms) / len(strata) ** 2, degrees)

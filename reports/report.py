@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from econgs_bench.reports.comparability import Remark, compared, remarks
+from econgs_bench.reports.clocks import Clocks
+from econgs_bench.reports.comparability import Remark, compared, judged, remarks
 from econgs_bench.reports.curves import curves, with_shared_seeds
 from econgs_bench.reports.schema import frame
 from econgs_bench.reports.statistics import Views
@@ -113,6 +114,8 @@ class Report:
             name: table[np.array([chosen(*row) for row in _cells(table)], bool)] if "base" in table else table
             for name, table in self.stored.items()
         }
+        if "differences" in tables["results"]:  # rows that are no part of it choose no place of its times
+            tables["results"] = judged(tables["results"], Clocks(self.whole.stored["results"]))
         return Report(tables, self.whole)
 
     @cached_property

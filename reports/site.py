@@ -13,6 +13,8 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from econgs_bench.reports.clocks import Clocks
+from econgs_bench.reports.comparability import judged
 from econgs_bench.reports.files import file_name, write_text
 from econgs_bench.reports.page.document import document, write_report
 from econgs_bench.reports.report import Report
@@ -116,7 +118,8 @@ def write_site(
     for kind, pages in parts.items():
         for name, own in pages:
             _report(out / _place(kind, name), own, views)
-    closed = {**tables, "results": tables["results"][results["division"] == CLOSED]}
+    chosen = tables["results"][results["division"] == CLOSED]
+    closed = {**tables, "results": judged(chosen, Clocks(tables["results"]))}
     report = Report(closed)
     answers = first(Page(report, family(report)))
     sections = [

@@ -48,7 +48,7 @@ def results(options: Namespace) -> int:
     tables = build_tables(store, current(options.plugins, store.root), write=False)
     report_damage(store)
     if options.format:
-        print_as(tables[options.table], options.format)
+        print_as(tables[options.table], options.format, tables["views"])
     else:
         if options.table == "results":
             print_results(tables["results"], jobs=True)
@@ -171,8 +171,8 @@ def _page(out: Path) -> Path:
     return path
 
 
-def print_as(table: pd.DataFrame, form: str) -> None:
-    """Write a table to standard output as csv, md, tex or json."""
+def print_as(table: pd.DataFrame, form: str, views: pd.DataFrame | None = None) -> None:
+    """Write a table to standard output as csv, md, tex or json; views tell which values are level."""
     if form == "csv":
         from econgs_bench.reports.tables.documents import to_csv
 
@@ -182,11 +182,14 @@ def print_as(table: pd.DataFrame, form: str) -> None:
 
         sys.stdout.write(to_json(table))
     else:
+        from econgs_bench.reports.statistics import Views
         from econgs_bench.reports.tables import documents
         from econgs_bench.reports.tables.protocols import by_protocol
+        from econgs_bench.reports.tables.ranks import ranks
 
         writer: Any = documents.to_markdown if form == "md" else documents.to_latex
-        print(writer(by_protocol({"results": table})["results"]))
+        shown = by_protocol({"results": table})["results"]
+        print(writer(shown, ranks(shown, Views(views))))
 
 
 def print_results(table: pd.DataFrame, *, jobs: bool = False) -> None:

@@ -85,8 +85,8 @@ def compare(options: Namespace) -> int:
     if table.empty:
         raise DataError(
             f"{options.stores[0]} and {options.stores[1]}",
-            "have no view in common (same dataset, scene, method, variant, rate, preset, split and seed, and "
-            "the same truth)",
+            "have no view in common (same dataset, scene, method, variant, rate, preset, split, "
+            "training views and seed, and the same truth)",
             "Compare runs of the same selection",
         )
     if options.format:

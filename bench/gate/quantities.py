@@ -68,8 +68,8 @@ QUANTITIES: dict[str, Quantity] = {
         _column("delta_e_uv", "quality", least=1e-2),
         _column("missing", "quality", least=1e-3),
         _column("excess", "quality", least=1e-3),
-        _column("size_bytes", "size"),
-        _column("primitives", "size"),
+        _column("size_bytes", "size", least=1.0),
+        _column("primitives", "size", least=1.0),
         Quantity("train_ratio", "time", "Training (CPU) / kernel", -1),
         Quantity("frame_ratio", "time", "Frame / kernel", -1),
     )

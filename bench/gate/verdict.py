@@ -303,8 +303,10 @@ class _Pair:
             if name in self.reasons and self._asks(quantity):
                 yield Finding("not measured", self.title, f"{quantity.title}: {self.reasons[name]}")
             rows = self.values if self._compares(quantity) else {}
-            if rows and self.old.values.get(name) and not any(name in row for row in rows.values()):
-                yield Finding("not measured", self.title, f"{quantity.title}: no value in the run")
+            lacking = sum(name not in row for row in rows.values())
+            if self.old.values.get(name) and lacking and (lacking == len(rows) or quantity.kind == "quality"):
+                which = "" if lacking == len(rows) else f" of {lacking} of {len(rows)} seeds"
+                yield Finding("not measured", self.title, f"{quantity.title}: no value{which} in the run")
         yield from self._of_equal()
 
     def _of_lacking_views(self) -> Iterator[Finding]:

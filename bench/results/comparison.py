@@ -12,7 +12,9 @@ from econgs_bench.reports.tables.protocols import by_scene_choice
 if TYPE_CHECKING:
     import pandas as pd
 
-EXPERIMENT = ("dataset", "scene", "method", "variant", "rate", "preset", "split", "seed")
+EXPERIMENT = (
+    "dataset", "scene", "method", "variant", "rate", "preset", "split", "requested_views", "seed",
+)  # fmt: skip
 _IDENTITY = ("truth", "renderer", "metric_versions")
 
 
@@ -33,12 +35,12 @@ def compared(first: pd.DataFrame, second: pd.DataFrame) -> pd.DataFrame:
 
     keys = [*EXPERIMENT, "view"]
     facts = [*keys, *METRICS, *_IDENTITY]
-    text = {key: "string" for key in keys if key not in ("rate", "seed")}
+    text = {key: "string" for key in keys if key not in ("rate", "requested_views", "seed")}
     left, right = (
         table[facts].astype(text).assign(rate=table["rate"].fillna(-1.0))
         for table in map(by_scene_choice, (first, second))
     )
-    pairs = left.merge(right, on=keys, suffixes=("_1", "_2"))
+    pairs = left.merge(right, on=keys, suffixes=("_1", "_2"), validate="one_to_one")
     rows, differences, count = [], [], 0
     for experiment, group in pairs.groupby(list(EXPERIMENT), dropna=False):
         one, other = ({name: group[f"{name}_{side}"].iloc[0] for name in _IDENTITY} for side in (1, 2))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from econgs_bench.reports.style import absent, label
@@ -17,6 +17,9 @@ GROUPING = "grouping"
 """Column of tables by protocol: words on the scenes that were learned together, where others are usual."""
 _CONDITIONS = ("preset", "split")
 _DRAWING = re.compile(r"(?:^|,)(samples=\d+)(?=,|$)")
+_SETTING = (
+    "dataset", "scene", "kind", "edit", "preset", "split", "requested_views", "method", "variant", "rate",
+)  # fmt: skip
 _MODEL = ("dataset", "scene", "preset", "split", "requested_views", "seed", "rate")
 
 
@@ -40,6 +43,26 @@ def shared_by_all(seeds: Iterable[Iterable[Any]]) -> set[Any]:
     """The seeds that all settings have; all seeds if they have none in common."""
     sets = [set(each) for each in seeds]
     return (set.intersection(*sets) or set.union(*sets)) if sets else set()
+
+
+def of_shared_seeds(table: pd.DataFrame, places: Sequence[str]) -> pd.DataFrame:
+    """The rows of each place whose seed all its models have; all of its rows where they share none.
+
+    Args:
+        table: with ``method``, ``variant``, ``seed`` and the places.
+        places: columns that name what models are compared on.
+    """
+    place = [table[name].astype("string").fillna("") for name in places]
+    model = table["method"].astype("string").str.cat(table["variant"].astype("string").fillna(""), sep=" ")
+    owners = model.groupby([*place, table["seed"]]).transform("nunique")
+    shared = owners == model.groupby(place).transform("nunique")
+    return table[shared | ~shared.groupby(place).transform("any")]
+
+
+def finished(table: pd.DataFrame) -> pd.Series[bool]:
+    """Of each row: whether the setting of its scene failed with no seed; others would be luckier."""
+    keys = [name for name in _SETTING if name in table]
+    return ~(table["status"] != "ok").groupby([table[name] for name in keys], dropna=False).transform("any")
 
 
 def by_protocol(tables: dict[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:

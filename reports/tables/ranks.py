@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
+from econgs_bench.reports.comparability import left_out
 from econgs_bench.reports.schema import COLUMNS, METRICS, records
 from econgs_bench.reports.statistics import Views
 from econgs_bench.reports.style import absent
@@ -25,8 +26,9 @@ _AXES = ("dataset", "scene", "kind", "preset", "split", "seed")
 def ranks(results: pd.DataFrame, views: Views | None = None) -> dict[tuple[Any, str], int]:
     """(row index, column) -> 1 for the best and 2 for the second best, where several methods share a scene.
 
-    Only finished rows are ranked; values with the same text share a rank. Where the interval of the paired
-    difference to the leading value contains zero, both are :data:`UNDECIDED`, and no later value has a mark.
+    Only finished rows and values that are compared are ranked; values with the same text share a rank. Where
+    the interval of the paired difference to the leading value contains zero, both are :data:`UNDECIDED`, and
+    no later value has a mark.
 
     Args:
         results: the table `results`, or its :func:`~.reports.tables.means.summary`.
@@ -40,6 +42,7 @@ def ranks(results: pd.DataFrame, views: Views | None = None) -> dict[tuple[Any, 
     views = views or Views()
     names = [name for name in _RANKED if name in results]
     of_jobs = "jobs" if "jobs" in results else "job"
+    out = left_out(results)
     groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     columns = results[[*axes, finished, of_jobs, *names]]
     for index, row in zip(results.index, records(columns), strict=True):
@@ -49,7 +52,8 @@ def ranks(results: pd.DataFrame, views: Views | None = None) -> dict[tuple[Any, 
             groups.setdefault(key, []).append(row)
     for rows in groups.values():
         for name in names:
-            for index, place in _places([row for row in rows if not absent(row[name])], name, views).items():
+            rivals = [row for row in rows if not absent(row[name]) and (row["index"], name) not in out]
+            for index, place in _places(rivals, name, views).items():
                 places[index, name] = place
     return places
 

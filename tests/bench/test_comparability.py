@@ -29,7 +29,7 @@ from econgs_bench.bench.store.lineage import Lineage
 from econgs_bench.bench.store.store import Store
 from econgs_bench.methods.registry import Registry
 from econgs_bench.reports.charts import files, svg
-from econgs_bench.reports.comparability import compared, kind_of, sentences
+from econgs_bench.reports.comparability import compared, kind_of, sentences, set_apart
 from econgs_bench.reports.page.document import write_report
 from econgs_bench.reports.report import Report
 from econgs_bench.reports.schema import frame, records
@@ -169,7 +169,7 @@ def test_conclusions_leave_it_out(planted) -> None:
     assert any(pictures) == case.pictures
     assert any(times) == case.times
     races = {len(race.fronts) for race in races_of(report) if race.discipline.column == "size_bytes"}
-    assert (2 in races) == (case.pictures and not case.words.startswith("scenes"))
+    assert (2 in races) == case.pictures
     rates = [one for one in rates_of(report) if one.rate is not None or one.psnr is not None]
     assert bool(rates) == case.pictures
 
@@ -333,3 +333,17 @@ def test_the_documentation_gives_the_reason(planted, generate, tmp_path, monkeyp
 
 def _has(case: Planted, text: str) -> bool:
     return re.search(case.words, text.replace("\\", "")) is not None
+
+
+def test_other_pictures_of_several_scenes_are_one_dataset() -> None:
+    """A store whose truths all differ is told apart as one, not scene by scene."""
+    rows = [{"job": f"{method}{scene}", "dataset": "d", "preset": "quick", "split": "test", "method": method,
+             "requested_views": 42, "scene": scene, "kind": "basic", "test_views": 16, "stress": "",
+             "finished": f"2026-01-0{day}", "truth": f"{truth}{scene}-16", "renderer": "r"}
+            for day, (method, truth) in enumerate((("a", "x"), ("b", "x"), ("c", "y"), ("e", "z")), 1)
+            for scene in ("s0", "s1", "s2")]  # fmt: skip
+    apart = set_apart(frame("jobs", rows))
+    names = {method: set(own["dataset"]) for method, own in apart.groupby("method")}
+    assert names["a"] == names["b"] == {"d"}
+    assert [len(names[method]) for method in "ce"] == [1, 1]
+    assert len(set().union(*names.values())) == 3

@@ -218,6 +218,13 @@ def test_views_are_paired(rate) -> None:
     assert compared(_views([30.0], 1.0), _views([30.0], 2.0)).empty
 
 
+def test_fits_from_other_numbers_of_training_views_are_not_paired() -> None:
+    few, many = (_views([psnr], None, requested_views=count) for psnr, count in ((20.0, 6), (30.0, 42)))
+    assert compared(few, many).empty
+    both = pd.concat([few, many], ignore_index=True)
+    assert compared(both, both)["difference"].tolist() == [0.0, 0.0]
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -64,7 +64,7 @@ def decision(contest: Contest, column: str, models: list[Model]) -> Chart | None
 def _floor(contest: Contest, base: str) -> Floor | None:
     """How far the noise floor is above a method: mean over datasets of means over scenes, as of marks."""
     above = []
-    for dataset, scenes in contest.values("psnr").cells[base].items():
+    for dataset, scenes in contest.values("psnr").cells.get(base, {}).items():
         pairs = [(contest.floors[dataset][scene], fmean(seeds.values())) for scene, seeds in scenes.items()]
         above.append(mean(floor and floor.above(psnr) for floor, psnr in pairs))
     return mean(above)

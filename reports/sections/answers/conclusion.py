@@ -9,9 +9,19 @@ from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
 from econgs_bench.reports import floors
-from econgs_bench.reports.clocks import CLOCKS, decoding
+from econgs_bench.reports.clocks import decoding
 from econgs_bench.reports.comparability import fixed_rays
-from econgs_bench.reports.effects import LEAST_DATASETS, Cells, Effect, at_shared_seeds, leads, mean, mean_of
+from econgs_bench.reports.effects import (
+    LEAST_DATASETS,
+    LEAST_SHARE,
+    Cells,
+    Effect,
+    at_shared_seeds,
+    leads,
+    mean,
+    mean_of,
+    pace_between,
+)
 from econgs_bench.reports.family import Family, largest
 from econgs_bench.reports.report import Report
 from econgs_bench.reports.schema import COLUMNS, records
@@ -30,6 +40,8 @@ _MOST_NAMES = 3
 """Methods that share a first place and are named."""
 
 
+_UNEQUAL = 1.05
+"""Quotient of two methods' reference kernels that is told."""
 _SMALLEST = 0.05
 """Distance in dB that is told."""
 _WIDE = 5.0
@@ -152,12 +164,12 @@ def answers(contest: Contest, results: pd.DataFrame, ladders: pd.DataFrame, fami
 def answers_of(report: Report, family: Family) -> list[Answer]:
     """The answers of a report's first contest; empty without one."""
     found = of_report(report)
-    return answers(found[0], report.results, ladder_table.of_report(report), family) if found else []
+    return answers(found[0], report.results, ladder_table.at_shared_seeds(report), family) if found else []
 
 
 def scope(contest: Contest) -> str:
     """What is compared, and when a lead counts."""
-    datasets = len(next(iter(contest.values("psnr").own.values())))
+    datasets = len(next(iter(contest.values("psnr").own.values()), ()))
     whole = len(contest.main & set(contest.scenes))
     rays = "".join(
         f", {text}"
@@ -166,7 +178,7 @@ def scope(contest: Contest) -> str:
     )
     of = counted(whole, "dataset") if datasets == whole else f"{datasets} of {counted(whole, 'dataset')}"
     text = (
-        f"{len(contest.methods)} methods with their default options on {of}, preset {contest.preset}{rays}. "
+        f"{len(contest.methods)} methods with their default options on {of}, {contest.protocol}{rays}. "
         "A method wins if its lead on every other is significant: Student's t over datasets (scenes of fewer "
         "than three) and seeds, with Holm's correction over all leads of this page (answers, races, rates). "
         "An interval is of one lead alone, without the correction. Robustness and edits are counts without a "
@@ -217,7 +229,7 @@ def compare(criterion: Criterion, contest: Contest) -> Comparison | None:
     if len(means) < 2:
         return None
     order = sorted(means, key=lambda name: -criterion.better * means[name])
-    ahead = leads(order, values.own, criterion.better, criterion.ratio)
+    ahead = leads(order, values.own, criterion.better, criterion.ratio, values.paces)
     return Comparison(values, {name: means[name] for name in order}, *ahead)
 
 
@@ -226,9 +238,7 @@ def measured(criterion: Criterion, contest: Contest, family: Family) -> Answer:
     compared = compare(criterion, contest)
     if compared is None:
         remark = _caution(contest, contest.values(criterion.column))
-        count = 2 if criterion.column in CLOCKS else len(contest.methods)
-        methods = "two methods" if count == 2 else f"all {count} methods"
-        text = f"Not decided: not measured of {methods} on one dataset{remark}."
+        text = f"Not decided: not measured of two methods on one dataset{remark}."
         return Answer(criterion.title, (), "", text)
     column, values, means = COLUMNS[criterion.column], compared.values, compared.means
     order = list(means)
@@ -254,7 +264,12 @@ def measured(criterion: Criterion, contest: Contest, family: Family) -> Answer:
         text += f"{criterion.amount(lead)} than {label(rival.method)} ({other}; "
     else:
         text = f"{label(first.method)}, {own}: {criterion.amount(lead)} than {label(rival.method)} ("
-    remarks = [criterion.interval(lead), family.verdict(lead.p)]
+    pace = pace_between(values.paces, first.method, rival.method)
+    remarks = [
+        criterion.interval(lead),
+        f"the reference kernel beside them differs by {pace:.2f} times" if pace >= _UNEQUAL else "",
+        family.verdict(lead.p),
+    ]
     if lead.mean == 0.0:
         both = f"{label(first.method)} and {label(rival.method)}"
         text = f"No winner among {_listing(level)}: {own} of both {both} on "
@@ -365,7 +380,10 @@ def _shortfalls(contest: Contest) -> dict[str, dict[str, float]]:
 
 
 def editing(contest: Contest, results: pd.DataFrame) -> Answer:
-    """Which method makes the most of the requested edits, and how well those that all can make."""
+    """Which method makes the most of the edits that all were asked for, and how well those that all can make.
+
+    Methods that were asked for fewer than half as many as another one are not compared.
+    """
     edited = by_default(results, "edited")
     edited = edited[(edited["preset"] == contest.preset) & (edited["split"] == contest.split)]
     psnr: dict[str, dict[tuple[str, ...], dict[Any, float]]] = {}
@@ -376,8 +394,12 @@ def editing(contest: Contest, results: pd.DataFrame) -> Answer:
             own[row["seed"]] = float(row["psnr"])
     if not psnr:
         return Answer(EDITABLE, (), "", "Not measured: no suite with edits was run (`bench run editing`).")
-    edits = set().union(*psnr.values())
-    done = {name: {edit: values for edit, values in own.items() if values} for name, own in psnr.items()}
+    most = max(map(len, psnr.values()))
+    compared = {name: own for name, own in psnr.items() if len(own) >= LEAST_SHARE * most}
+    edits = set.intersection(*map(set, compared.values()))
+    if not edits:
+        return Answer(EDITABLE, (), "", "Not decided: no edit was asked of all methods.")
+    done = {name: {edit: own[edit] for edit in edits if own[edit]} for name, own in compared.items()}
     able = [name for name, own in done.items() if own]
     shared = set.intersection(*(set(done[name]) for name in able)) if able else set()
     cells = {name: {"": {str(edit): done[name][edit] for edit in shared}} for name in able}
@@ -385,7 +407,7 @@ def editing(contest: Contest, results: pd.DataFrame) -> Answer:
         name: mean_of(own, ratio=False) if shared else -math.inf
         for name, own in at_shared_seeds(cells, ratio=False).items()
     }
-    order = sorted(psnr, key=lambda name: (-len(done[name]), -quality.get(name, 0.0)))
+    order = sorted(done, key=lambda name: (-len(done[name]), -quality.get(name, 0.0)))
     places = tuple(Place(name, len(done[name]), f"{len(done[name])} of {len(edits)}") for name in order)
     parts = [f"{label(place.method)} makes {place.text}" for place in places if place.value]
     if shared and len(able) > 1:
@@ -397,7 +419,7 @@ def editing(contest: Contest, results: pd.DataFrame) -> Answer:
         if refusing
         else []
     )
-    untried = [name for name in contest.methods if name not in psnr]
+    untried = [name for name in dict.fromkeys([*contest.methods, *psnr]) if name not in compared]
     parts += [f"not tried: {_listing(untried, every=True)}"] if untried else []
     alone = able and (len(able) == 1 or len(done[order[0]]) > len(done[order[1]]))
     return Answer(EDITABLE, places, order[0] if alone else "", f"{'; '.join(parts)}.")

@@ -6,20 +6,23 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from econgs_bench.reports.clocks import CLOCKS
+from econgs_bench.reports.clocks import CLOCKS, Clocks
 from econgs_bench.reports.comparability import (
     DATASET,
     DISTURBED,
     UNKNOWN,
     Place,
+    compared,
+    judged,
     kind_of,
     reason,
     root,
     usual_place,
 )
-from econgs_bench.reports.effects import Cells, at_shared_seeds
+from econgs_bench.reports.effects import LEAST_SHARE, Cells, at_shared_seeds
 from econgs_bench.reports.floors import Floor, by_scene
 from econgs_bench.reports.report import Report, once
 from econgs_bench.reports.schema import records
@@ -29,14 +32,12 @@ from econgs_bench.reports.tables.protocols import (
     ORIGIN,
     contestants,
     drawn_as_means,
+    finished,
     without_drawing,
 )
 
 if TYPE_CHECKING:
     import pandas as pd
-
-_LEAST_SHARE = 0.5
-"""Share of the datasets, and of the scenes of each, that a method needs to be ranked."""
 
 
 @dataclass(frozen=True)
@@ -48,12 +49,14 @@ class Values:
         ratio: values are compared by quotient.
         left_out: why values were left out, as "from other processors" -> how many.
         processor: that all values are from; "" where it does not matter.
+        paces: of times, method -> median time of the reference kernel beside them, in seconds, where known.
     """
 
     own: Mapping[str, Cells]
     ratio: bool
     left_out: Mapping[str, int] = field(default_factory=dict)
     processor: str = ""
+    paces: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def cells(self) -> Mapping[str, Cells]:
@@ -69,7 +72,8 @@ class Contest:
         preset: the preset.
         split: the measured views.
         rows: finished and failed rows of basic scenes, one per dataset, scene, method and seed; a dataset's
-            name includes its number of training views where there are several.
+            name includes its number of training views where there are several. ``finished``: whether the
+            method failed with no seed of the scene.
         main: datasets that count for all but robustness: of several numbers of training views the largest, of
             several versions of one dataset one.
     """
@@ -127,7 +131,7 @@ class Contest:
             name: {
                 dataset
                 for dataset in self.main & own.keys()
-                if len(own[dataset]) >= _LEAST_SHARE * most[dataset]
+                if len(own[dataset]) >= LEAST_SHARE * most[dataset]
             }
             for name, own in self._tried.items()
         }
@@ -139,7 +143,7 @@ class Contest:
         If these share none, those with the dataset that most of them have.
         """
         most = max(map(len, self.attempts.values()), default=0)
-        names = [name for name, own in self.attempts.items() if len(own) >= _LEAST_SHARE * most]
+        names = [name for name, own in self.attempts.items() if len(own) >= LEAST_SHARE * most]
         counts = Counter(
             dataset
             for dataset in dict.fromkeys(row["dataset"] for row in self.rows)
@@ -185,10 +189,10 @@ class Contest:
         return {}
 
     def values(self, column: str) -> Values:
-        """The values of a column on the datasets where all ranked methods have the scenes that all tried.
+        """The values of a column on the datasets where all ranked methods finished the scenes that all tried.
 
         Speeds are of the place with the most methods, then datasets, and of the scenes that those methods
-        have there, at least half. Methods that have none of these, two at least being left, are left out.
+        have there, at least half. Methods with the fewest values are left out where no dataset is common.
         """
         if column not in self._values:
             self._values[column] = self._compared(column)
@@ -200,13 +204,13 @@ class Contest:
             for row in self.rows
             if row["dataset"] in self.main
             and row["method"] in self.methods
-            and row["status"] == "ok"
+            and row["finished"]
             and not absent(row[column])
             and (column == "psnr" or float(row[column]) > 0)  # all else is compared by ratio
         ]
         ratio = column != "psnr"
         if column not in CLOCKS:
-            return Values(self._common(rows, column, self.methods), ratio)
+            return Values(self._most(rows, column), ratio)
         ranked = [row for row in self.rows if row["method"] in self.methods]
         left_out = Counter(_why(text) for row in ranked if (text := reason(row, column)))
         placed = [(row, Place.of(row, column)) for row in rows]
@@ -228,7 +232,13 @@ class Contest:
                 left_out[_why(place.difference(best))] += 1
             elif row["method"] not in common[best]:
                 left_out["of methods with few times"] += 1
-        return Values(common[best], ratio, left_out, best.text)
+        paces: dict[str, list[float]] = {}
+        for row, place in placed:
+            time = row.get(CLOCKS[column][1])
+            if place.agrees(best) and time is not None and not absent(time):
+                paces.setdefault(row["method"], []).append(float(time))
+        medians = {name: median(times) for name, times in paces.items()}
+        return Values(common[best], ratio, left_out, best.text, medians)
 
     def _most(self, rows: Sequence[Mapping[str, Any]], column: str) -> dict[str, Cells]:
         """Values of as many methods as have a dataset in common, without those with the fewest rows."""
@@ -254,7 +264,7 @@ class Contest:
             if dataset in self.main
         }
         # A disturbed time leaves out its scene; a scene that somebody did not finish, the dataset.
-        least = _LEAST_SHARE if column in CLOCKS else 1.0
+        least = LEAST_SHARE if column in CLOCKS else 1.0
         enough = {
             dataset: sorted(scenes)
             for dataset, scenes in common.items()
@@ -271,26 +281,39 @@ class Contest:
 
 @once
 def of_report(report: Report) -> list[Contest]:
-    """The contests of a report."""
-    return contests(report.results)
+    """The contests of a report. Rows that do not compete choose no version and no place of those that do."""
+    rows = by_default(report.measured, "basic")
+    if "differences" in rows:
+        rows = compared({"results": judged(rows, Clocks(report.whole.stored["results"]))})["results"]
+    return _contests(rows)
 
 
 def contests(results: pd.DataFrame) -> list[Contest]:
     """A contest per preset and split with at least two methods, the one with the most comparisons first.
 
+    Those of test views precede those of validation views, which chose options.
+
     Args:
         results: the table `results` of :func:`.reports.tables.protocols.by_protocol`.
     """
-    rows = by_default(results, "basic")
+    return _contests(by_default(results, "basic"))
+
+
+def _contests(rows: pd.DataFrame) -> list[Contest]:
+    rows = rows.assign(finished=finished(rows))
     contests = []
     for (preset, split), every in rows.groupby(["preset", "split"], dropna=False, sort=False):
         # Datasets with one method compare nothing.
         several = every.groupby("dataset")["method"].transform("nunique") > 1
-        compared = every[several]
-        contest = Contest(str(preset), str(split), records(compared), _main(compared))
+        own = every[several]
+        contest = Contest(str(preset), str(split), records(own), _main(own))
         if len(contest.methods) > 1:
             contests.append(contest)
-    return sorted(contests, key=lambda each: -sum(len(each.attempts[name]) for name in each.methods))
+
+    def order(contest: Contest) -> tuple[bool, int]:
+        return contest.split == "val", -sum(len(contest.attempts[name]) for name in contest.methods)
+
+    return sorted(contests, key=order)
 
 
 def by_default(results: pd.DataFrame, kind: str) -> pd.DataFrame:

@@ -26,8 +26,9 @@ class Mark:
 
 
 def reference(contest: Contest) -> str:
-    """:data:`REFERENCE` if it is ranked, else the first method."""
-    return REFERENCE if REFERENCE in contest.methods else contest.methods[0]
+    """:data:`REFERENCE` if its pictures are compared, else the first method whose are."""
+    names = list(contest.values("psnr").own) or contest.methods
+    return REFERENCE if REFERENCE in names else names[0]
 
 
 def marks(contest: Contest, column: str) -> list[Mark]:
@@ -41,7 +42,7 @@ def marks(contest: Contest, column: str) -> list[Mark]:
     base = reference(contest)
     all_marks = []
     for method in contest.methods:
-        if method == base or method not in costs or base not in costs:
+        if method == base or any(name not in values for name in (method, base) for values in (costs, psnr)):
             continue
         cost = effect(costs[method], costs[base], 1, ratio=True)
         quality = effect(

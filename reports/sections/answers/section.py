@@ -105,7 +105,7 @@ def _matrix(answers: list[Answer], contest: Contest, models: list[Model], anchor
 
 def _floor(answers: list[Answer], contest: Contest) -> list[str]:
     """A row with the noise floor under the criterion of PSNR; none where no scene has one."""
-    cells = next(iter(contest.values("psnr").cells.values()))
+    cells = next(iter(contest.values("psnr").cells.values()), {})
     every = [[contest.floors[dataset][scene] for scene in scenes] for dataset, scenes in cells.items()]
     known = [floor.truth for own in every for floor in own if floor is not None]
     if not known:

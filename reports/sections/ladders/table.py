@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from econgs_bench.reports.report import Report, once
 from econgs_bench.reports.schema import COLUMNS, records
 from econgs_bench.reports.style import absent
+from econgs_bench.reports.tables.protocols import of_shared_seeds
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -38,7 +39,8 @@ _FACTS = ("purpose", "rungs", "rung", "dataset", "scene", "same_truth", "job")
 _OF_BREAK = (
     "place", "rung", "failure", "subject", "scene", "change", "missing", "excess", "reason", "job",
 )  # fmt: skip
-_KEY = ("ladder", "preset", "split", "requested_views", "subject", "method", "variant")
+_MODEL = ("method", "variant")
+_KEY = ("ladder", "preset", "split", "requested_views", "subject", *_MODEL)
 COLUMNS_OF_LADDERS = (
     *_KEY, "purpose", "place", "rungs", "rung", "dataset", "scene", "same_truth", "psnr", "psnr_std", "seeds",
     "change", "missing", "excess", "flicker", "primitives", "size_bytes", "train_seconds", "failure",
@@ -52,6 +54,13 @@ Row = dict[str, Any]
 def of_report(report: Report) -> pd.DataFrame:
     """The ladders of a report."""
     return ladders(report.table("rungs"))
+
+
+@once
+def at_shared_seeds(report: Report) -> pd.DataFrame:
+    """The ladders of a report, each rung of the seeds that all methods have there, if they have any."""
+    places = [*(name for name in _KEY if name not in _MODEL), "place"]
+    return ladders(of_shared_seeds(report.table("rungs"), places))
 
 
 def ladders(rungs: pd.DataFrame) -> pd.DataFrame:

@@ -18,18 +18,19 @@ import numpy as np
 
 from econgs_bench.reports import floors
 from econgs_bench.reports.charts.tradeoff import XY
-from econgs_bench.reports.effects import Cells, Effect, at_shared_seeds, leads, mean_of
+from econgs_bench.reports.effects import LEAST_SHARE, Cells, Effect, at_shared_seeds, leads, mean_of
 from econgs_bench.reports.family import Family, largest
 from econgs_bench.reports.floors import Floor
 from econgs_bench.reports.fronts import interpolated, pareto
 from econgs_bench.reports.report import Report, once
 from econgs_bench.reports.schema import records
-from econgs_bench.reports.style import MIB, MISSING, absent, counted, label, mib, seconds, signed
+from econgs_bench.reports.style import MIB, MISSING, absent, counted, enumeration, label, mib, seconds, signed
 from econgs_bench.reports.tables.protocols import (
     GROUPING,
     comparable,
     contestants,
     drawn_as_means,
+    finished,
     without_drawing,
 )
 
@@ -148,9 +149,10 @@ class Race:
     Attributes:
         dataset: with preset and split where there are several.
         discipline: what is equal.
-        fronts: method -> its models; only methods that have all scenes.
+        fronts: method -> its models of the scenes that count: those of all methods that have at least half.
         expenses: method, scene, seed and model -> what else it took.
         floors: scene -> noise floor of its truth, where it is known.
+        others: methods without models of all these scenes.
     """
 
     dataset: str
@@ -158,6 +160,12 @@ class Race:
     fronts: dict[str, Fronts]
     expenses: dict[tuple[str, str, Any, XY], Expense]
     floors: dict[str, Floor | None] = field(default_factory=dict)
+    others: tuple[str, ...] = ()
+
+    @property
+    def methods(self) -> int:
+        """Number of all methods of the dataset."""
+        return len(self.fronts) + len(self.others)
 
     def costs(self, method: str) -> list[float]:
         """Costs of a method's models, from the least at which it has one of every scene and seed."""
@@ -271,7 +279,8 @@ def races(results: pd.DataFrame) -> list[Race]:
     Args:
         results: the table of that name, with what is compared (:func:`.reports.comparability.compared`).
     """
-    rows = results[(results["kind"] == "basic") & (results["status"] == "ok") & results["psnr"].notna()]
+    rows = results[results["kind"] == "basic"]
+    rows = rows.assign(finished=finished(rows) & rows["psnr"].notna())
     rows = rows[rows["iterations"].notna() & (rows["iterations"] > 1)]  # volumes and meshes train nothing
     if rows.empty:
         return []
@@ -304,7 +313,7 @@ def _of_all_seeds(models: _Models) -> dict[Any, list[XY]]:
 
 def _race(dataset: str, discipline: Discipline, rows: Sequence[dict[str, Any]]) -> Race | None:
     column = discipline.column
-    here = [row for row in rows if not absent(row.get(column)) and float(row[column]) > 0]
+    here = [row for row in rows if row["finished"] and not absent(row.get(column)) and float(row[column]) > 0]
     entered: dict[str, dict[str, _Models]] = {}
     expenses: dict[tuple[str, str, Any, XY], Expense] = {}
     for row in here:
@@ -319,27 +328,30 @@ def _race(dataset: str, discipline: Discipline, rows: Sequence[dict[str, Any]]) 
     spots = {
         name: {scene: _of_all_seeds(models) for scene, models in own.items()} for name, own in entered.items()
     }
-    scenes = {str(row["scene"]) for row in rows}
+    least = LEAST_SHARE * max((len(own) for own in spots.values()), default=0)
+    enough = {name: own for name, own in spots.items() if len(own) >= least}
+    scenes = set.intersection(*(set(own) for own in enough.values())) if enough else set()
     fronts = {
         name: {
-            scene: {seed: Front.of(every) for seed, every in seeds.items()} for scene, seeds in own.items()
+            scene: {seed: Front.of(every) for seed, every in own[scene].items()} for scene in sorted(scenes)
         }
-        for name, own in spots.items()
-        if set(own) == scenes
+        for name, own in enough.items()
+        if scenes
     }
+    others = tuple(dict.fromkeys(str(row["method"]) for row in rows if str(row["method"]) not in fronts))
     several = any(
         len(every) > 1 for own in spots.values() for seeds in own.values() for every in seeds.values()
     )
     if len(fronts) < 2 or not several:
         return None
-    return Race(dataset, discipline, fronts, expenses, floors.by_scene(rows))
+    return Race(dataset, discipline, fronts, expenses, floors.by_scene(rows), others)
 
 
 def _limit(race: Race, lead: Lead, family: Family) -> str:
     """A limit: how many methods have a model within it where not all have, a single seed, a near floor."""
     remarks = []
-    if lead.starters < len(race.fronts):
-        remarks.append(f"{lead.starters} of {len(race.fronts)} methods")
+    if lead.starters < race.methods:
+        remarks.append(f"{lead.starters} of {race.methods} methods")
     if lead.rivals and (most := max(ahead.seeds[1] for _, ahead in lead.rivals)) < 2:
         remarks.append("one seed" if most else "no common seed")
     if near := race.closeness(lead, family):
@@ -376,6 +388,10 @@ def conclusion(found: Sequence[Race], family: Family) -> list[str]:
             parts.append(f"no lead is significant at {limits} on {datasets}")
         elif undecided:
             parts.append(f"{undecided} of {limits} on {datasets} are not significant")
+        lacking = list(dict.fromkeys(label(name) for race, _ in leads for name in race.others))
+        parts += (
+            [f"without {enumeration(lacking)}, not finished or measured on all scenes"] if lacking else []
+        )
         sentences.append(f"At equal {discipline.noun}, {'; '.join(parts)} ({family.size}).")
     return sentences
 
@@ -402,7 +418,7 @@ def row(race: Race, lead: Lead, family: Family) -> list[str]:
     cells += [name if decided else f"not significant ({name})", f"{lead.psnr:.2f}"]
     time, memory = lead.expense
     cells += [MISSING if time is None else seconds(time), MISSING if memory is None else mib(memory)]
-    starters = f"{lead.starters} of {len(race.fronts)}"
+    starters = f"{lead.starters} of {race.methods}"
     if nearest is None:
         return [*cells, "alone", "", "", "", "", starters]
     rival, ahead = nearest

@@ -29,8 +29,7 @@ _WORDS = (
     "The best picture of each method within a limit, over all lengths of its schedule and all rates: linear "
     "in the logarithm of the cost between two models on the front, level beyond the largest. A line starts "
     "where its method has a model of every scene. Lines are means over scenes and seeds; bands reach from "
-    "the lowest seed to the highest. Training times are of one processor, divided by how much slower than "
-    "usual it was."
+    "the lowest seed to the highest. Training times are of one processor."
 )
 _NOTE = (
     "Training and memory are of the leader's largest models within the limit, geometric means per scene. A "

@@ -15,7 +15,7 @@ from econgs_bench.reports.floors import Floor
 from econgs_bench.reports.report import Report, once
 from econgs_bench.reports.schema import records
 from econgs_bench.reports.sections.rates import intervals as rate_intervals
-from econgs_bench.reports.style import MISSING, mib
+from econgs_bench.reports.style import MISSING, enumeration, mib
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -379,11 +379,18 @@ def _verdict(pairs: Sequence[Difference], question: _Question, family: Family) -
         ((gap.lead, gap.rival, gap.remark) for gap in first.gaps if gap.lead is not None), reverse=True
     )
     parts = [question.words(lead, rival) + remark for lead, rival, remark in leads]
+    own = [pair for pair in pairs if first.name in (pair.test, pair.reference)]
+    refused = sorted(
+        {pair.reference if pair.test == first.name else pair.test for pair in own if pair.refused}
+    )
     if beaten := sorted(gap.rival for gap in first.gaps if gap.lead is None):
         parts.append(f"one model of it is smaller and better than all of {' and '.join(beaten)}")
     if question is _PICTURE and (near := _closeness(pairs, first.name)):
         parts.append(near)
-    return f"{question.where}, {first.name} significantly {question.feat}: {'; '.join(parts)}"
+    if max(pair.seeds for pair in own) == 1:
+        parts.append("one seed")
+    among = f"of the methods that can be compared (not {enumeration(refused)}), " if refused else ""
+    return f"{question.where}, {among}{first.name} significantly {question.feat}: {'; '.join(parts)}"
 
 
 def _closeness(pairs: Sequence[Difference], name: str) -> str:

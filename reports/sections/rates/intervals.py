@@ -24,8 +24,9 @@ Delta = Callable[[list[float], list[float], list[float], list[float]], float]
 """A number that compares two curves: from bytes and PSNR of the reference, then of the other one."""
 Sizes = Mapping[str, tuple[str, float]]
 """Job -> its seed, and the bytes of its model."""
-_STEP_PSNR, _STEP_SIZE = 1e-3, 1e-4
-"""Of derivatives, in dB and in log10 of bytes; less where points lie closer together."""
+_STEP, _SHARE = 1e-5, 1e-3
+"""Of derivatives, in dB and in log10 of bytes; at most this share of the distance to the next point, within
+which slopes change."""
 
 
 class RatePoint(NamedTuple):
@@ -68,8 +69,8 @@ def interval(
         ours, theirs = ([10**value for value in values] for values in sizes)
         return delta(ours, qualities[0], theirs, qualities[1])
 
-    by_psnr = _slopes(lambda values: number(size, values), psnr, _STEP_PSNR)
-    by_size = _slopes(lambda values: number(values, psnr), size, _STEP_SIZE)
+    by_psnr = _slopes(lambda values: number(size, values), psnr)
+    by_size = _slopes(lambda values: number(values, psnr), size)
     parts = [
         _part(curve, sign * by_psnr[i], sign * by_size[i], views, sizes)
         for i, (curve, sign) in enumerate(zip(curves, (-1.0, 1.0), strict=True))
@@ -79,12 +80,12 @@ def interval(
 
 
 def _slopes(
-    number: Callable[[list[list[float]]], float], values: list[list[float]], step: float
+    number: Callable[[list[list[float]]], float], values: list[list[float]], share: float = _SHARE
 ) -> list[np.ndarray]:
     """Derivative by each value of both curves, by central differences that keep the values in order."""
     slopes = []
     for i, curve in enumerate(values):
-        h = min(step, *(abs(b - a) / 4 for a, b in pairwise(curve)))
+        h = min(_STEP, *(share * abs(b - a) for a, b in pairwise(curve) if a != b))
         row = []
         for j in range(len(curve)):
             ends = []

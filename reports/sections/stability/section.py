@@ -18,8 +18,8 @@ _WORDS = (
 )
 _CHART = " Chart: mean PSNR over scenes and seeds; a mark is missing where any fit failed."
 _COMPLEXITY = (
-    "What methods spend on datasets whose names differ in a number, which counts their parts. A method that "
-    "models no more than a scene needs grows with it, and starts small."
+    "What methods spend on datasets whose names differ in a number alone. Where it counts the parts of a "
+    "scene, a method that models no more than the scene needs grows with it, and starts small."
 )
 _HEADS = (
     "Dataset", "Method", "Failed", "Two seeds differ by up to [dB]", "Worst view under the median [dB]",

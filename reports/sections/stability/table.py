@@ -146,7 +146,7 @@ def families(datasets: Iterable[str]) -> dict[str, dict[str, int]]:
 def _lines(rows: pd.DataFrame, numbers: pd.Series, what: str) -> list[Line]:
     """Mean of a column at each number, a line per method; of several presets and splits, each on its own.
 
-    Numbers at which a method lacks any value have no point.
+    Numbers at which a method lacks any value, or zero bytes or primitives, have no point.
     """
     unit = MIB if what == "size_bytes" else 1.0
     lines = []
@@ -154,6 +154,7 @@ def _lines(rows: pd.DataFrame, numbers: pd.Series, what: str) -> list[Line]:
     for keys, fits in rows.groupby(axes, dropna=False, sort=False):
         values = fits[what].astype("Float64").where(fits["status"] == "ok")
         means = values.groupby(numbers).agg(lambda part: part.mean(skipna=False)).dropna()
+        means = means if what == "psnr" else means[means > 0]
         if len(means):
             title = " ".join([label(*keys[:3]), *conditions(fits.iloc[0], rows)])
             x, y = [float(v) for v in means.index], [float(v) / unit for v in means]

@@ -10,7 +10,7 @@ from econgs_bench.reports import floors
 from econgs_bench.reports.charts.tradeoff import Spot, Tradeoff, TradeoffLine
 from econgs_bench.reports.schema import COLUMNS
 from econgs_bench.reports.style import Model, mean_key, model, named
-from econgs_bench.reports.tables.protocols import comparable
+from econgs_bench.reports.tables.protocols import comparable, finished
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -45,9 +45,7 @@ def tradeoffs(results: pd.DataFrame, against: str) -> list[Tradeoff]:
     columns = list(dict.fromkeys((*_NEEDED, against)))
     panels = []
     for title, rows in comparable(results.loc[results["kind"] == "basic", columns]):
-        good = rows[
-            (rows["status"] == "ok") & rows["psnr"].notna() & rows[against].notna() & (rows[against] > 0)
-        ]
+        good = rows[finished(rows) & rows["psnr"].notna() & rows[against].notna() & (rows[against] > 0)]
         if good.empty:
             continue
         scenes = set(rows["scene"])

@@ -10,7 +10,7 @@ import numpy as np
 from econgs_bench.reports.schema import records
 from econgs_bench.reports.sections.volumes.conclusion import VOLUMES
 from econgs_bench.reports.style import MISSING, Model, model, signed
-from econgs_bench.reports.tables.protocols import comparable
+from econgs_bench.reports.tables.protocols import comparable, of_shared_seeds
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,7 +30,7 @@ _CLEAR = 0.1
 
 @dataclass(frozen=True)
 class Target:
-    """The mean over seeds of a model under one transfer function.
+    """The mean over seeds of a model under one transfer function: over those that all models have there.
 
     Attributes:
         panel: dataset with its protocol.
@@ -66,6 +66,7 @@ def targets(results: pd.DataFrame) -> list[Target]:
     shown = shown.assign(distance=distance)[
         distance.notna() & ((distance > 0) | (shown["edit"].fillna("") == ""))
     ]
+    shown = of_shared_seeds(shown, ("dataset", "preset", "split", "scene", "distance"))
     keys = ["dataset", "preset", "split", "scene", "distance", "method", "variant", "rate"]
     means = shown.groupby(keys, sort=False, dropna=False)["psnr"].mean().reset_index()
     return [

@@ -455,3 +455,14 @@ def test_scores_grow_with_what_is_better() -> None:
     for name, quantity in QUANTITIES.items():
         low, high = (0.5, 0.6) if name == "ssim" else (0.0 if quantity.least else 0.1, 2.0)
         assert (quantity.score(high) > quantity.score(low)) == (quantity.better > 0), name
+
+
+def test_a_model_of_nothing_and_a_seed_without_a_value_have_a_verdict() -> None:
+    empty = deepcopy(OLD)
+    empty[key("a", "w")].values[0] |= {"primitives": 0.0, "size_bytes": 0.0}
+    assert judge(OLD, empty).word in ("pass", "worse")
+    lacking = deepcopy(OLD)
+    del lacking[key("a", "w")].values[1]["psnr"]
+    verdict = judge(OLD, lacking)
+    assert verdict.word == "not measured"
+    assert "no value of 1 of 5 seeds" in verdict.of("not measured")[0].text

@@ -1,3 +1,4 @@
+import json
 import re
 
 import pandas as pd
@@ -79,6 +80,15 @@ def test_best_and_second_by_direction_and_only_among_finished_rows(maker):
     marks = ranks(maker.tables()["results"])
     assert {i: marks.get((i, "psnr")) for i in range(4)} == {0: None, 1: 1, 2: 2, 3: None}
     assert {i: marks.get((i, "size_bytes")) for i in range(4)} == {0: None, 1: 1, 2: 2, 3: None}
+
+
+def test_values_that_are_not_compared_are_not_ranked(maker):
+    for method, psnr in (("a", 30.0), ("b", 32.0), ("c", 31.0)):
+        maker.run(method=method, psnr=psnr)
+    results = maker.tables()["results"]
+    results["differences"] = ["", json.dumps({"psnr": "another metric: version 2"}), ""]
+    marks = ranks(results)
+    assert {i: marks.get((i, "psnr")) for i in range(3)} == {0: 2, 1: None, 2: 1}
 
 
 def test_a_single_method_is_not_called_best(maker):

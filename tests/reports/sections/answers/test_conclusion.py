@@ -9,7 +9,8 @@ from scipy import stats
 from econgs_bench.reports.comparability import compared, judged
 from econgs_bench.reports.effects import effect
 from econgs_bench.reports.family import Family
-from econgs_bench.reports.schema import frame
+from econgs_bench.reports.report import Report
+from econgs_bench.reports.schema import TABLES, frame
 from econgs_bench.reports.sections.answers import conclusion as conclusions
 from econgs_bench.reports.sections.answers.conclusion import (
     CRITERIA,
@@ -18,7 +19,7 @@ from econgs_bench.reports.sections.answers.conclusion import (
     compare,
     scope,
 )
-from econgs_bench.reports.sections.answers.contest import contests
+from econgs_bench.reports.sections.answers.contest import contests, of_report
 from econgs_bench.reports.sections.ladders.table import ladders
 from econgs_bench.reports.tables.protocols import by_protocol
 from tests.reports.sections.ladders.test_table import table as rungs
@@ -316,7 +317,7 @@ def test_edits_are_counted_and_compared_where_all_make_them():
         row("a", 30.0, kind="edited", edit="light"), row("a", 40.0, kind="edited", edit="color"),
         row("b", 20.0, kind="edited", edit="light"),
         row("b", None, kind="edited", edit="color", status="refused"),
-        row("c", None, kind="edited", edit="light", status="refused"),
+        *(row("c", None, kind="edited", edit=edit, status="refused") for edit in ("light", "color")),
     ]  # fmt: skip
     rows = [*pair([1.0]), row("c", 30.0, "d0"), row("e", 30.0, "d0"), *edits]
     answer = of(answers(contest(*rows), table(*rows), NO_LADDERS), EDITABLE)
@@ -506,3 +507,86 @@ def test_edits_of_another_split_are_not_counted():
     rows += [row("b", 40.0, "d0", kind="edited", edit="opacity=2", split="val")]
     found = of(answers(contest(*rows), table(*rows), NO_LADDERS), EDITABLE)
     assert found.sentence == "a makes 1 of 1; not tried: b."
+
+
+def test_seeds_that_failed_leave_no_luckier_ones():
+    rows = [row(name, psnr + 0.1 * i, f"d{i}", seed=seed) for i in range(3) for seed in range(3)
+            for name, psnr in (("a", 31.0), ("b", 30.0))]  # fmt: skip
+    failed = {"status": "diverged", "psnr": None, "size_bytes": None}
+    lucky = [
+        row("c", 33.0, f"d{i}", seed=seed) | (failed if seed else {}) for i in range(3) for seed in range(3)
+    ]
+    answer = measured(PICTURE, contest(*rows, *lucky))
+    assert answer.winner == "a"
+    assert answer.sentence.endswith("3 seeds; without c.")
+    assert measured(SMALLEST, contest(*rows, *lucky)).sentence.endswith("without c.")
+
+
+def test_a_lone_scene_of_a_second_dataset_hides_no_spread_of_scenes():
+    scenes = [4.9 if i % 2 else -4.5 for i in range(10)]
+    rows = [row(name, 30.0 + gap * (name == "a") + 0.01 * seed, scene=f"s{i}", seed=seed)
+            for i, gap in enumerate(scenes) for seed in range(3) for name in "ab"]  # fmt: skip
+    rows += [
+        row(name, 30.5 if name == "a" else 30.0, "other", seed=seed) for seed in range(3) for name in "ab"
+    ]
+    low, high = compare(PICTURE, contest(*rows)).leads[0].ends
+    spread = np.var(scenes, ddof=1) * (1 / 10 + 1) / 4
+    assert (high - low) / 2 == pytest.approx(stats.t.ppf(0.975, 9) * math.sqrt(spread), rel=1e-6)
+
+
+def test_seeds_that_change_nothing_repeat_nothing():
+    rows = [
+        row(name, 30.0, seed=seed, size_bytes=size)
+        for seed in range(3)
+        for name, size in (("a", 100), ("b", 101))
+    ]
+    answer = measured(SMALLEST, contest(*rows))
+    assert (answer.winner, compare(SMALLEST, contest(*rows)).p) == ("", None)
+    assert "no interval: add seeds" in answer.sentence
+
+
+def test_test_views_decide_before_validation_views():
+    on_val = pair([3.0, 3.0, 3.0], split="val")
+    on_test = pair([-3.0, -2.0])
+    found = contests(table(*on_val, *on_test))
+    assert [one.split for one in found] == ["test", "val"]
+    assert "preset quick, split val" in scope(found[1])
+    assert "split" not in scope(found[0])
+
+
+def test_a_lead_that_the_pace_of_the_machine_explains_is_none():
+    def rows(*kernels):
+        return [row(name, 30.0, f"d{i}", fps=fps + i * (name == "a"), reference_seconds=kernel)
+                for i in range(4)
+                for (name, fps), kernel in zip((("a", 140.0), ("b", 100.0)), kernels, strict=True)]  # fmt: skip
+
+    assert measured(DRAWING, contest(*rows(1.0, 1.0))).winner == "a"
+    answer = measured(DRAWING, contest(*rows(1.0, 1.45)))
+    assert answer.winner == ""
+    assert "the reference kernel beside them differs by 1.45 times" in answer.sentence
+
+
+def test_rows_that_do_not_compete_choose_no_place():
+    def at(place, **more):
+        return [row(name, 30.0 + i, scene=scene, processor=place, fit_processor=place,
+                    train_seconds=10.0 * (1 + i) + 0.1 * ord(scene) % 1, **more)
+                for i, name in enumerate("ab") for scene in "stuv"]  # fmt: skip
+
+    others = [one for k in ("q=1", "q=2") for one in at("server, 8 cores", variant=k, base="")]
+    tables = {name: frame(name) for name in TABLES}
+    tables["results"] = judged(frame("results", [*at("laptop, 2 cores"), *others]))
+    (found,) = of_report(Report(tables))
+    assert measured(TRAINING, found).winner == "a"
+
+
+def test_edits_that_nobody_asked_for_are_not_refused():
+    rows = list(pair([-1.0, -1.0]))
+    rows += [row(name, psnr, f"d{i}", kind="edited", edit=edit, scene=f"s {edit}")
+             for i in range(2) for edit in ("x=1", "y=1")
+             for name, psnr in (("a", 30.0), ("b", 35.0)) if (name, i) != ("b", 1)]  # fmt: skip
+    everything = table(*rows)
+    answer = of(answers(contests(everything)[0], everything, NO_LADDERS), EDITABLE)
+    assert answer.winner == ""
+    assert answer.sentence.startswith(
+        "b makes 2 of 2; a makes 2 of 2; PSNR of the 2 edits that they share: 35.00 dB, 30.00 dB"
+    )

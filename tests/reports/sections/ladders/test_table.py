@@ -5,10 +5,12 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-from econgs_bench.reports.schema import frame
+from econgs_bench.reports.report import Report
+from econgs_bench.reports.schema import TABLES, frame
 from econgs_bench.reports.sections.ladders.table import (
     COLUMNS_OF_LADDERS,
     FAILURES,
+    at_shared_seeds,
     climbed,
     held,
     ladders,
@@ -141,3 +143,16 @@ def test_severity_is_the_share_of_rungs_before_the_break() -> None:
         climb(None, 3, None, None),
     ]  # fmt: skip
     assert sorted([*ordered[3:], *ordered[:3]], key=severity) == ordered
+
+
+def test_a_method_that_more_seeds_were_asked_of_breaks_no_more_often() -> None:
+    rows = [{"place": place, "method": name, "seed": seed} for name in "ab" for place in range(3)
+            for seed in ((0,) if name == "a" else (0, 1, 2))]  # fmt: skip
+    rows = [
+        row | ({"status": "diverged", "psnr": None} if row["seed"] == 2 and row["place"] else {})
+        for row in rows
+    ]
+    tables = {name: frame(name) for name in TABLES} | {"rungs": table(*rows)}
+    found = climbed(at_shared_seeds(Report(tables)))
+    assert {one["method"]: held(one) for one in found} == {"a": 2, "b": 2}
+    assert {one["method"]: held(one) for one in climbed(ladders(tables["rungs"]))} == {"a": 2, "b": 0}

@@ -159,10 +159,11 @@ def test_disturbed_times_and_those_of_another_processor_are_left_out():
     assert by_size.leads[-1].expense.seconds is None, "bytes race on; their time is not known"
 
 
-def test_a_method_without_all_scenes_does_not_race():
-    rows = [fit("3dgs", seconds, 30.0 + seconds, f"s{i}") for seconds in (10.0, 40.0) for i in range(2)]
-    rows += [fit("hac", 10.0, 33.0, f"s{i}") for i in range(2)] + [fit("econgs", 10.0, 40.0, "s0")]
-    assert set(of(TIME, *rows).fronts) == {"3dgs", "hac"}
+def test_a_method_without_half_of_the_scenes_does_not_race():
+    rows = [fit("3dgs", seconds, 30.0 + seconds, f"s{i}") for seconds in (10.0, 40.0) for i in range(3)]
+    rows += [fit("hac", 10.0, 33.0, f"s{i}") for i in range(3)] + [fit("econgs", 10.0, 40.0, "s0")]
+    race = of(TIME, *rows)
+    assert (set(race.fronts), race.others) == ({"3dgs", "hac"}, ("econgs",))
 
 
 def test_one_model_each_is_no_race():
@@ -269,3 +270,23 @@ def test_the_report_has_a_section_where_methods_have_several_models(maker):
     assert found.answer[0].startswith("At equal training time")
     assert {"race-train", "race-size"} <= set(found.charts)
     assert [table.caption for table in found.tables] == ["Who leads at which limit"]
+
+
+def test_a_scene_that_one_method_lacks_leaves_the_others_and_not_the_method():
+    rows = [fit(name, seconds, psnr + seconds / 100, scene=scene, seed=seed)
+            for name, psnr in (("a", 35.0), ("b", 30.0), ("c", 29.0)) for seconds in (10.0, 40.0)
+            for scene in "stuvx" for seed in range(3) if (name, scene) != ("a", "x")]  # fmt: skip
+    race = of(TIME, *rows)
+    assert (race.leads[0].method, race.methods, set(race.fronts["b"])) == ("a", 3, set("stuv"))
+
+
+def test_a_method_that_failed_with_a_seed_is_named_and_does_not_race():
+    rows = [fit(name, seconds, psnr + seconds / 100 + 0.1 * seed, scene=scene, seed=seed)
+            | ({"status": "diverged", "psnr": None} if name == "c" and seed else {})
+            for name, psnr in (("a", 31.0), ("b", 30.0), ("c", 33.0)) for seconds in (10.0, 40.0)
+            for scene in "st" for seed in range(3)]  # fmt: skip
+    race = of(TIME, *rows)
+    assert (race.leads[0].method, race.leads[0].starters, race.methods) == ("a", 2, 3)
+    text = " ".join(conclusion([race], Family.of([lead.p for lead in race.leads])))
+    assert "without c, not finished or measured on all scenes" in text
+    assert row(race, race.leads[0], ALONE)[-1] == "2 of 3"

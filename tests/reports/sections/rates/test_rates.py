@@ -8,6 +8,7 @@ import scipy.stats
 from econgs_bench.reports.curves import Curve, Point
 from econgs_bench.reports.family import Family
 from econgs_bench.reports.sections.rates import conclusion as rates
+from econgs_bench.reports.sections.rates import intervals
 from econgs_bench.reports.sections.rates.conclusion import Difference, difference, differences, p_values
 from econgs_bench.reports.statistics import Views
 from econgs_bench.reports.style import Model
@@ -363,3 +364,39 @@ def test_a_method_wins_against_one_that_a_model_of_it_beats_throughout():
     assert conclusion(pairs, Family.of([0.002, 0.002, *[0.9] * 30])).count("no method significantly") == 2
     # Where they can be compared, the lead has to be significant.
     assert "no method significantly takes" in conclusion([difference(best, worse), *pairs[1:]])
+
+
+def test_slopes_between_close_points_leave_what_both_curves_share_alone():
+    """One more dB on every point of both curves changes no BD-rate, so the slopes sum to nothing."""
+    first = [(90113, 37.6443), (142007, 38.9433), (206215, 39.3079), (286683, 39.3734), (535963, 39.3801),
+             (2592958, 39.3949)]  # fmt: skip
+    second = [(55518, 37.7022), (60247, 38.5913), (72738, 40.0775), (83643, 40.4721), (90028, 40.6541),
+              (106222, 40.8317)]  # fmt: skip
+    sizes = [[float(b) for b, _ in one] for one in (first, second)]
+    psnr = [[q for _, q in one] for one in (first, second)]
+
+    def number(values):
+        return rates._log_bytes(sizes[0], values[0], sizes[1], values[1])
+
+    slopes = intervals._slopes(number, psnr)
+    assert sum(part.sum() for part in slopes) == pytest.approx(0.0, abs=1e-3)
+    for one, other in zip(slopes, intervals._slopes(number, psnr, 1e-4), strict=True):
+        assert one == pytest.approx(other, abs=1e-3)
+
+
+def test_a_method_whose_curve_is_too_short_is_no_rival_that_was_beaten():
+    short = curve([100.0, 200.0, 400.0], [30.0, 35.0, 40.0], "short")
+    worse, best = (
+        curve([1e3, 2e3, 4e3, 8e3], np.array(ANCHOR[1]) + add, name) for add, name in ((0.0, "w"), (2.0, "b"))
+    )
+    pairs = [replace(difference(worse, best), rate_p=1e-6, psnr_p=1e-6, seeds=3)]
+    assert rates.conclusion(pairs, Family.of(p_values(pairs))).startswith(
+        "On d, at equal PSNR, b significantly"
+    )
+    pairs += [difference(short, best), difference(short, worse)]
+    text = rates.conclusion(pairs, Family.of(p_values(pairs)))
+    assert text.startswith(
+        "On d, at equal PSNR, of the methods that can be compared (not short), b significantly"
+    )
+    one = [replace(pairs[0], seeds=1)]
+    assert "; one seed." in rates.conclusion(one, Family.of(p_values(one)))

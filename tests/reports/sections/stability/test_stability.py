@@ -119,3 +119,11 @@ def test_page_and_files_show_both(few, maker, tmp_path) -> None:
     # the table to take away stays as it was measured
     assert "bubble, 6 views" not in (tmp_path / "results.csv").read_text(encoding="utf-8")
     assert "bubble, 6 views" in (tmp_path / "results.md").read_text(encoding="utf-8")
+
+
+def test_a_model_of_nothing_has_no_place_on_a_logarithmic_axis(maker) -> None:
+    for count in (1, 8, 64):
+        maker.run(dataset=f"blobs_{count}", size=0 if count == 8 else 1 << 20)
+    lines = stability.by_complexity(maker.tables()["results"], "size_bytes")["blobs"]
+    assert lines[0].x == [1.0, 64.0]
+    assert page(maker)

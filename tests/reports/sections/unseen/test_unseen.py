@@ -83,3 +83,11 @@ def test_other_edits_make_no_section(maker):
     maker.run(scene="a")
     report = Report(maker.tables())
     assert section(Page(report, family(report))) is None
+
+
+def test_means_are_of_the_seeds_that_all_models_have(moved):
+    for edit, distance in (("", None), ("shift=0.1", 0.2)):
+        moved.run(scene=f"a {edit}".strip(), kind="edited" if edit else "basic", edit=edit, distance=distance,
+                  method="veg", psnr=1.0, seed=2)  # fmt: skip
+    found = unseen.targets(Report(moved.tables()).results)
+    assert [one.psnr for one in found if one.name == "a shift=0.1"] == [34.5, 34.5]
