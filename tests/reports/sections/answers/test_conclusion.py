@@ -556,9 +556,9 @@ def test_test_views_decide_before_validation_views():
 
 def test_a_lead_that_the_pace_of_the_machine_explains_is_none():
     def rows(*kernels):
+        methods = (("a", 140.0, kernels[0]), ("b", 100.0, kernels[1]))
         return [row(name, 30.0, f"d{i}", fps=fps + i * (name == "a"), reference_seconds=kernel)
-                for i in range(4)
-                for (name, fps), kernel in zip((("a", 140.0), ("b", 100.0)), kernels, strict=True)]  # fmt: skip
+                for i in range(4) for name, fps, kernel in methods]  # fmt: skip
 
     assert measured(DRAWING, contest(*rows(1.0, 1.0))).winner == "a"
     answer = measured(DRAWING, contest(*rows(1.0, 1.45)))
