@@ -18,6 +18,8 @@ LEAST_DATASETS = 3
 """Datasets from which their differences are the sample; with fewer it is the scenes."""
 LEAST_SHARE = 0.5
 """Share of the datasets, and of the scenes of each, that a method needs to be ranked."""
+_ROUNDING = 1e-9
+"""Differences of means that are none."""
 NO_SEED = "none in common"
 """In place of a seed: the mean over those of a method, of a scene of which the methods share no seed."""
 
@@ -157,7 +159,7 @@ def effect(first: Cells, second: Cells, better: int, ratio: bool, pace: float = 
         return None
     of_scenes = [[mean(seeds.values()) for seeds in scenes.values()] for scenes in differences.values()]
     of_datasets = [mean(values) for values in of_scenes]
-    middle = mean(of_datasets)
+    middle = _beyond(mean(of_datasets), 0.0)
     of_data = _sampling([of_datasets]) if len(of_datasets) >= LEAST_DATASETS else _sampling(of_scenes)
     by_seed = _sampling([_of_seeds(differences)])
     if of_data is None and by_seed is not None and by_seed.value == 0.0:
@@ -170,8 +172,8 @@ def effect(first: Cells, second: Cells, better: int, ratio: bool, pace: float = 
     return Effect(
         middle,
         error.half if error is not None else None,
-        error.p_value(_beyond(abs(middle), math.log(pace))) if error is not None else None,
-        sum(value > 0 for value in of_datasets),
+        error.p_value(abs(_beyond(middle, math.log(pace)))) if error is not None else None,
+        sum(value > _ROUNDING for value in of_datasets),
         len(of_datasets),
         sum(map(len, of_scenes)),
         (min(counts), max(counts)),
@@ -179,9 +181,10 @@ def effect(first: Cells, second: Cells, better: int, ratio: bool, pace: float = 
     )
 
 
-def _beyond(distance: float, explained: float) -> float:
-    """How far a distance exceeds what is explained; 0 within rounding."""
-    return distance - explained if distance > explained + 1e-9 else 0.0
+def _beyond(difference: float, explained: float) -> float:
+    """How far a difference exceeds what is explained, with its sign; 0 within rounding."""
+    excess = abs(difference) - explained
+    return math.copysign(excess, difference) if excess > _ROUNDING else 0.0
 
 
 def _differences(

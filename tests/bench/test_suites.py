@@ -21,10 +21,11 @@ def test_every_dataset_of_a_suite_is_known_and_what_is_missing_has_a_stand_in_or
     suite = load_suite(name)
     assert _members(suite.datasets) <= {info.name for info in list_datasets()}
     without = _members(suite.present(BUILT_IN))
-    if name not in ("tuning", "unseen-data", "unstructured"):
+    if name not in ("tuning", "unseen-data", "unseen-schedules", "unstructured"):
         assert without, "nothing to run without data"
         assert without <= BUILT_IN
-    assert suite.preset == {"stability": "small"}.get(name, "quick") or name == "datasets"
+    own = {"stability": "small", "unseen-schedules": "full"}
+    assert suite.preset == own.get(name, "quick") or name == "datasets"
     assert set(suite.presets) >= set(VIEWS)
 
 

@@ -176,13 +176,14 @@ def scope(contest: Contest) -> str:
         for text in [fixed_rays(row for row in contest.rows if row["dataset"] in contest.main)]
         if text
     )
+    protocol = f", {contest.protocol}" if contest.protocol else ""
     of = counted(whole, "dataset") if datasets == whole else f"{datasets} of {counted(whole, 'dataset')}"
     text = (
-        f"{len(contest.methods)} methods with their default options on {of}, {contest.protocol}{rays}. "
+        f"{len(contest.methods)} methods with their default options on {of}{protocol}{rays}. "
         "A method wins if its lead on every other is significant: Student's t over datasets (scenes of fewer "
-        "than three) and seeds, with Holm's correction over all leads of this page (answers, races, rates). "
-        "An interval is of one lead alone, without the correction. Robustness and edits are counts without a "
-        "test."
+        "than three) and seeds, of rates over views and seeds, with Holm's correction over all leads of this "
+        "page (answers, races, rates). Intervals are of one lead, uncorrected. Robustness and edits are "
+        "counts without a test."
     )
     if datasets < whole:
         text += " A dataset counts if all methods finished it."

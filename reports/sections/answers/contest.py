@@ -85,8 +85,9 @@ class Contest:
 
     @property
     def protocol(self) -> str:
-        """Preset, and the split where it is not that of the test views, for people."""
-        return f"preset {self.preset}" + (f", split {self.split}" if self.split == "val" else "")
+        """Preset, where it is known, and the split where it is not that of the test views, for people."""
+        preset = "" if self.preset in ("", "None", "nan", "<NA>") else f"preset {self.preset}"
+        return ", ".join(filter(None, (preset, f"split {self.split}" if self.split == "val" else "")))
 
     @cached_property
     def scenes(self) -> dict[str, set[str]]:
