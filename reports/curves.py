@@ -13,7 +13,7 @@ from econgs_bench.reports.fronts import pareto
 from econgs_bench.reports.schema import records
 from econgs_bench.reports.style import Model, absent, mean_key, model
 from econgs_bench.reports.tables.means import summary
-from econgs_bench.reports.tables.protocols import comparable, shared_by_all
+from econgs_bench.reports.tables.protocols import comparable, of_shared_seeds
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -244,19 +244,7 @@ def with_shared_seeds(results: pd.DataFrame) -> pd.DataFrame:
     Args:
         results: the documented table.
     """
-    import pandas as pd
-
-    points: dict[tuple[Any, ...], dict[tuple[str, str], set[Any]]] = {}
-    names = ["dataset", "preset", "split", "method", "base", "variant", "rate", "seed"]
-    cells = [
-        [None if absent(cell) else cell for cell in row] for row in results[names].itertuples(index=False)
-    ]
-    for *axes, variant, rate, seed in cells:
-        point = points.setdefault(tuple(axes), {})
-        point.setdefault((str(variant), str(rate)), set()).add(seed)
-    shared = {curve: shared_by_all(seeds.values()) for curve, seeds in points.items()}
-    kept = [seed in shared[tuple(axes)] for *axes, _, _, seed in cells]
-    return results[pd.Series(kept, results.index, dtype=bool)]
+    return of_shared_seeds(results, ("dataset", "preset", "split", "method", "base"), ("variant", "rate"))
 
 
 def _scenes(row: Any) -> int:

@@ -81,6 +81,11 @@ class Report:
         return self.stored[name] if name in self.stored else frame(name)
 
     @cached_property
+    def clocks(self) -> Clocks:
+        """Quiet times of the machines."""
+        return Clocks(self.stored["results"])
+
+    @cached_property
     def models(self) -> list[Model]:
         """The models that have looks; those of curves are without their rate knob."""
         if self.whole is not self:
@@ -114,8 +119,10 @@ class Report:
             name: table[np.array([chosen(*row) for row in _cells(table)], bool)] if "base" in table else table
             for name, table in self.stored.items()
         }
-        if "differences" in tables["results"]:  # rows that are no part of it choose no place of its times
-            tables["results"] = judged(tables["results"], Clocks(self.whole.stored["results"]))
+        results = tables["results"]
+        if "differences" in results and len(results) < len(self.stored["results"]):
+            # Rows that are no part of it choose no place of its times.
+            tables["results"] = judged(results, self.whole.clocks)
         return Report(tables, self.whole)
 
     @cached_property

@@ -6,10 +6,14 @@ import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from econgs_bench.bench.commands.arguments import add_plugins
 from econgs_bench.reports.tables.grid import Field, to_lines
 from econgs_bench.reports.terminal import line_width
+
+if TYPE_CHECKING:
+    from econgs_bench.bench.metrics import Metric
 
 HEADS = {
     "methods": ("Name", "Version", "Title", "From"),
@@ -83,25 +87,28 @@ def _datasets(options: Namespace) -> Iterable[tuple[str, ...]]:
 
 
 def _suites(options: Namespace) -> Iterable[tuple[str, ...]]:
+    return [(name, _read_suite(file)["title"]) for name, file in _suite_files().items()]
+
+
+def _suite_files() -> dict[str, Path]:
+    return {file.stem: file for file in sorted((Path(__file__).parents[1] / "suites").glob("*.toml"))}
+
+
+def _read_suite(file: Path) -> dict[str, Any]:
+    """As it is written: the schema of load_suite takes longer to import than a list to print."""
     import tomllib
 
-    # Not load_suite: its schema takes longer to import than the list to print.
-    files = sorted((Path(__file__).parents[1] / "suites").glob("*.toml"))
-    return [(file.stem, tomllib.loads(file.read_text(encoding="utf-8"))["title"]) for file in files]
+    return tomllib.loads(file.read_text(encoding="utf-8"))
 
 
 def _metrics(options: Namespace) -> Iterable[tuple[str, ...]]:
     from econgs_bench.bench.metrics import METRICS
 
-    return [
-        (
-            name,
-            m.version,
-            m.column.unit,
-            "higher" if m.column.better > 0 else "lower",
-        )
-        for name, m in METRICS.items()
-    ]
+    return [(name, m.version, m.column.unit, _better(m)) for name, m in METRICS.items()]
+
+
+def _better(metric: Metric) -> str:
+    return "higher" if metric.column.better > 0 else "lower"
 
 
 def _describe(options: Namespace) -> int:
@@ -159,14 +166,12 @@ def _dataset(options: Namespace, name: str) -> _Facts:
 
 
 def _suite(options: Namespace, name: str) -> _Facts:
-    import tomllib
-
     from econgs_bench.datasets.names import unknown
 
-    files = {file.stem: file for file in (Path(__file__).parents[1] / "suites").glob("*.toml")}
+    files = _suite_files()
     if name not in files:
         raise unknown("suite", name, files)
-    table = tomllib.loads(files[name].read_text(encoding="utf-8"))
+    table = _read_suite(files[name])
     kept = ("title", "preset", "seeds", "methods", "optional", "datasets")
     facts = {key: table[key] for key in kept if key in table}
     return [(key.capitalize(), _joined(value)) for key, value in facts.items()], []
@@ -179,8 +184,7 @@ def _metric(options: Namespace, name: str) -> _Facts:
     if name not in METRICS:
         raise unknown("metric", name, METRICS)
     metric = METRICS[name]
-    better = "higher" if metric.column.better > 0 else "lower"
-    facts = [("Version", metric.version), ("Unit", metric.column.unit), ("Better", better)]
+    facts = [("Version", metric.version), ("Unit", metric.column.unit), ("Better", _better(metric))]
     return [*facts, ("Meaning", metric.column.doc)], []
 
 

@@ -45,16 +45,22 @@ def shared_by_all(seeds: Iterable[Iterable[Any]]) -> set[Any]:
     return (set.intersection(*sets) or set.union(*sets)) if sets else set()
 
 
-def of_shared_seeds(table: pd.DataFrame, places: Sequence[str]) -> pd.DataFrame:
+def of_shared_seeds(
+    table: pd.DataFrame, places: Sequence[str], models: Sequence[str] = ("method", "variant")
+) -> pd.DataFrame:
     """The rows of each place whose seed all its models have; all of its rows where they share none.
 
     Args:
-        table: with ``method``, ``variant``, ``seed`` and the places.
+        table: with ``seed``, the places and the models' columns.
         places: columns that name what models are compared on.
+        models: columns that name a model.
     """
     place = [table[name].astype("string").fillna("") for name in places]
-    model = table["method"].astype("string").str.cat(table["variant"].astype("string").fillna(""), sep=" ")
-    owners = model.groupby([*place, table["seed"]]).transform("nunique")
+    first, *others = (table[name].astype("string").fillna("") for name in models)
+    model = first
+    for other in others:
+        model = model.str.cat(other, sep=" ")
+    owners = model.groupby([*place, table["seed"]], dropna=False).transform("nunique")
     shared = owners == model.groupby(place).transform("nunique")
     return table[shared | ~shared.groupby(place).transform("any")]
 

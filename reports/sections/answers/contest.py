@@ -9,7 +9,7 @@ from functools import cached_property
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from econgs_bench.reports.clocks import CLOCKS, Clocks
+from econgs_bench.reports.clocks import CLOCKS
 from econgs_bench.reports.comparability import (
     DATASET,
     DISTURBED,
@@ -285,7 +285,7 @@ def of_report(report: Report) -> list[Contest]:
     """The contests of a report. Rows that do not compete choose no version and no place of those that do."""
     rows = by_default(report.measured, "basic")
     if "differences" in rows:
-        rows = compared({"results": judged(rows, Clocks(report.whole.stored["results"]))})["results"]
+        rows = compared({"results": judged(rows, report.whole.clocks)})["results"]
     return _contests(rows)
 
 
