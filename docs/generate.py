@@ -26,6 +26,7 @@ them make one report. The kinds and their keys:
 ``paper``    a table of the paper, measured over published values
     table    its name in reports/paper/published
 ``claims``   how many of the paper's claims hold
+    quiet    bundles of a machine with nothing beside: they decide checks that the others have no values for
     file     in ``reports/measured``: every check
 ``csv``      a table that a program wrote; lines that begin with "#" are its caption
     file     in ``reports/measured``
@@ -63,7 +64,7 @@ from econgs_bench.reports.sections.ladders import conclusion as ladders
 from econgs_bench.reports.sections.ladders import table as ladder_table
 from econgs_bench.reports.sections.ladders.table import climbed
 from econgs_bench.reports.sections.order import chart_sections
-from econgs_bench.reports.sections.paper.claims import VERDICTS, Verdict, tally
+from econgs_bench.reports.sections.paper.claims import UNKNOWN, VERDICTS, Verdict, tally
 from econgs_bench.reports.sections.paper.documents import to_markdown
 from econgs_bench.reports.sections.paper.tables import paper_tables
 from econgs_bench.reports.sections.paper.values import PaperTable
@@ -399,8 +400,17 @@ def _papers(bundles: tuple[str, ...]) -> dict[str, PaperTable]:
 
 def claims(block: dict[str, Any]) -> str:
     """The number of claims with each verdict; :func:`generated` adds the file of all checks."""
-    counts = tally(_checked(tuple(block["bundles"])))
+    counts = tally(_claims(block))
     return markdown(["verdict", "claims"], [[name, str(counts[name])] for name in VERDICTS if counts[name]])
+
+
+def _claims(block: dict[str, Any]) -> list[Verdict]:
+    """The verdicts of a block. Bundles of other machines would make its quiet times disturbed ones."""
+    quiet = {(one.claim, one.where): one for one in _checked(tuple(block.get("quiet", ())))}
+    return [
+        quiet.get((one.claim, one.where), one) if one.verdict == UNKNOWN else one
+        for one in _checked(tuple(block["bundles"]))
+    ]
 
 
 @cache
@@ -462,7 +472,7 @@ def generated(page: Path) -> dict[Path, str]:
         if match[2] == "chart":
             files[(page.parent / block["image"]).resolve()] = drawing(block)
         elif match[2] == "claims":
-            files[MEASURED / block["file"]] = to_csv(_checked(tuple(block["bundles"])))
+            files[MEASURED / block["file"]] = to_csv(_claims(block))
     return files
 
 
