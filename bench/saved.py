@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from econgs_bench.bench.jobs.truth import Truth
-    from econgs_bench.bench.store.records import Record
+    from econgs_bench.bench.store.records import Job, Record
     from econgs_bench.datasets.camera import Camera
     from econgs_bench.datasets.edits import Edit
     from econgs_bench.datasets.scene import RGB
@@ -92,6 +92,11 @@ def seen(store: Store, job_id: str, scene: str) -> tuple[Sequence[Camera], RGB, 
     record, truth = truth_of(store, job_id, scene)
     split: Split = "train" if record.job.split == "val" else "trainval"
     return truth.cameras(split), truth.scene().background, truth
+
+
+def measured_split(job: Job) -> Split:
+    """The views that a job is measured on: "test", or "val" of a store that keeps its test views closed."""
+    return "val" if job.split == "val" else "test"
 
 
 def pictures(

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 import sys
+import uuid
 from argparse import ArgumentParser, Namespace
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,7 +33,10 @@ from econgs_bench.datasets.names import unknown
 from econgs_bench.reports.progress import step
 
 if TYPE_CHECKING:
+    from econgs_bench.datasets.scene import Dataset
     from econgs_bench.methods.interface import Model
+
+_NUMBERED = re.compile(r"\d{4,}\.png")
 
 
 def render_arguments(parser: ArgumentParser) -> None:
@@ -126,34 +134,69 @@ def _render(options: Namespace, dataset_name: str) -> None:
             views = inputs.request(dataset, scenes[0], ViewPreset(12, count, 256, 256, sys.maxsize), samples)
         request = view_request(views, "test")
         folder = Path(options.out) / dataset.name / name
-        folder.mkdir(parents=True, exist_ok=True)
         doing = f"drawing {dataset.name}/{name}"
         step(doing)
         drawn = partial(step, doing)
         truth = None
         if options.truth or model is None:
             truth = views_of(dataset, name, request, edit=edit, progress=drawn)
-        if truth is not None:
-            beside = folder if model is None else folder / "truth"
-            beside.mkdir(exist_ok=True)
-            for index, image in enumerate(truth.images):
-                write_png(beside / f"{index:04d}.png", image)
-        if model is not None:
-            background = dataset.parts(name)[0].background
-            psnr = []
-            cameras = cameras_of(dataset, name, request)
-            step(f"drawing {name} of {options.model}", 0, count)
-            for index, (rgb, alpha) in enumerate(pictures(model, cameras, scenes, edit, background)):
-                step(f"drawing {name} of {options.model}", index + 1, count)
-                shown = rgb if alpha is None else premultiplied(rgb, alpha, background)
-                write_png(folder / f"{index:04d}.png", shown)
-                if truth is not None:
-                    values, _ = evaluate(truth.images[index], rgb, alpha, background, ["psnr"])
-                    psnr.append(float(values["psnr"] or 0.0))
-            if psnr:
-                low, mean, high = min(psnr), sum(psnr) / len(psnr), max(psnr)
-                print(f"PSNR {mean:.2f} dB ({low:.2f} to {high:.2f}) against {folder / 'truth'}")
+        psnr = []
+        with _replacing(folder) as aside:
+            if truth is not None:
+                beside = aside if model is None else aside / "truth"
+                beside.mkdir(exist_ok=True)
+                for index, image in enumerate(truth.images):
+                    write_png(beside / f"{index:04d}.png", image)
+            if model is not None:
+                background = dataset.parts(name)[0].background
+                cameras = cameras_of(dataset, name, request)
+                step(f"drawing {name} of {options.model}", 0, count)
+                for index, (rgb, alpha) in enumerate(pictures(model, cameras, scenes, edit, background)):
+                    step(f"drawing {name} of {options.model}", index + 1, count)
+                    shown = rgb if alpha is None else premultiplied(rgb, alpha, background)
+                    write_png(aside / f"{index:04d}.png", shown)
+                    if truth is not None:
+                        values, _ = evaluate(truth.images[index], rgb, alpha, background, ["psnr"])
+                        psnr.append(float(values["psnr"] or 0.0))
+        if psnr:
+            low, mean, high = min(psnr), sum(psnr) / len(psnr), max(psnr)
+            print(f"PSNR {mean:.2f} dB ({low:.2f} to {high:.2f}) against {folder / 'truth'}")
+            if others := _unlike(options, dataset, scenes):
+                print(f"This truth is not what the model learned as {', '.join(others)}.")
         print(folder)
+
+
+def _unlike(options: Namespace, dataset: Dataset, scenes: Sequence[str]) -> list[str]:
+    """Basic scenes whose definition or data are not those that a model learned."""
+    from econgs_bench.bench.store.lineage import Lineage
+    from econgs_bench.datasets.content import fingerprint
+
+    lineage = Lineage(Store(Path(options.runs)).records())
+    learned = lineage.contents(lineage.by_id[options.model]) or {}
+    return [name for name in scenes if name in learned and fingerprint(dataset, name) != learned[name]]
+
+
+@contextmanager
+def _replacing(folder: Path) -> Iterator[Path]:
+    """A new folder for pictures, which take the place of those in ``folder`` when all are drawn.
+
+    Files of other names stay, and everything where drawing fails: two calls never mix.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    aside = folder.with_name(f".{folder.name}.{uuid.uuid4().hex}")
+    try:
+        aside.mkdir()
+        yield aside
+        for place in (folder, folder / "truth"):
+            for old in place.glob("*.png"):
+                if _NUMBERED.fullmatch(old.name):
+                    old.unlink()
+        for new in sorted(aside.rglob("*.png")):
+            target = folder / new.relative_to(aside)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            new.replace(target)
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
 
 
 def _model(options: Namespace) -> tuple[Model, tuple[str, ...]]:

@@ -288,6 +288,10 @@ class Server(ThreadingHTTPServer):
         self.page = {one.name: one.read_bytes() for one in page.iterdir() if Path(one.name).suffix in TYPES}
         try:
             super().__init__((HOST, port), Handler)
+        except OverflowError as error:
+            raise DataError(
+                f"--port {port}", "is none", "Give one from 1 to 65535, or leave it out"
+            ) from error
         except OSError as error:
             reason = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be used ({error.strerror})"
             raise DataError(f"--port {port}", reason, "Give another, or leave it out") from error

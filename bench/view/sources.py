@@ -9,6 +9,7 @@ from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Lock
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from econgs_bench.bench.store.store import Store
     from econgs_bench.datasets.catalogue.editing import Editable
     from econgs_bench.datasets.edits import Edit
+    from econgs_bench.datasets.views import Split
     from econgs_bench.econgs.splat.splats import Splats
     from econgs_bench.methods.interface import Model
 
@@ -60,10 +62,18 @@ class Marched:
         dataset: with volumes; None: ``name`` is opened when the first picture is asked for.
         name: in the catalogue, or a path.
         samples: rays a pixel at rest.
+        learned: name -> definition and content hash ("": not known) of the scenes that a model learned. They
+            are drawn as they were then, or refused where their data are others now.
     """
 
-    def __init__(self, name: str, dataset: Dataset | None = None, samples: int = 0) -> None:
-        self._name, self._dataset, self._samples = name, dataset, samples
+    def __init__(
+        self,
+        name: str,
+        dataset: Dataset | None = None,
+        samples: int = 0,
+        learned: Mapping[str, tuple[BasicScene, str]] = MappingProxyType({}),
+    ) -> None:
+        self._name, self._dataset, self._samples, self._learned = name, dataset, samples, learned
         self._thread = ThreadPoolExecutor(1, "truth")
         self._prepared: dict[Any, Any] = {}
         self._definitions: dict[str, BasicScene] = {}
@@ -88,17 +98,30 @@ class Marched:
         return np.asarray(self._prepared[key]((camera,))[0])
 
     def _prepare(self, scenes: tuple[str, ...], edits: Edits, rays: int) -> Any:
-        from econgs_bench.datasets.catalogue import open_dataset
         from econgs_bench.datasets.edits import edited
         from econgs_bench.datasets.render_views import RenderJob
         from econgs_bench.datasets.views import ViewRequest
 
         if self._dataset is None:
-            self._dataset = open_dataset(self._name)
+            self._dataset = self._open()
         parts = tuple(self._definitions.get(name) or self._dataset.scene(name) for name in scenes)
         parts = tuple(edited(one, edits[one.name]) if one.name in edits else one for one in parts)
         request = ViewRequest("test", 12, 1, 8, 8, samples=rays)
         return RenderJob.of(self._dataset, parts, request, "auto").set_up()[0]
+
+    def _open(self) -> Dataset:
+        from econgs_bench.datasets.catalogue import open_dataset
+        from econgs_bench.datasets.content import fingerprint
+
+        dataset = open_dataset(self._name)
+        known = {name: scene for name, (scene, _) in self._learned.items()}
+        scenes = [known.pop(one.name, one) for one in dataset.scenes]
+        dataset = replace(dataset, scenes=(*scenes, *known.values()))
+        for name, (_, content) in self._learned.items():
+            if content and fingerprint(dataset, name) != content:
+                reason = f"has not the data any more that the model learned as {name}"
+                raise DataError(self._name, reason, "Restore its files, or train again")
+        return dataset
 
 
 class Stored:
@@ -107,10 +130,11 @@ class Stored:
     Args:
         scene: its name.
         truth: what its views job stored.
+        split: that was measured on.
     """
 
-    def __init__(self, scene: str, truth: Truth) -> None:
-        self._scene, self._truth, self._cameras = scene, truth, truth.cameras("test")
+    def __init__(self, scene: str, truth: Truth, split: Split) -> None:
+        self._scene, self._truth, self._split, self._cameras = scene, truth, split, truth.cameras(split)
 
     def draw(self, camera: Camera, scenes: Sequence[str], edits: Edits, samples: int | None) -> Picture:
         """A test view in its own size; see :class:`Drawer`."""
@@ -119,7 +143,18 @@ class Stored:
         if near[place] > 1e-6 or edits or list(scenes) != [self._scene]:
             reason = "was rendered elsewhere: its truth is known at its test views alone, one scene, unedited"
             raise DataError(self._scene, reason, "Choose a bookmark")
-        return np.asarray(self._truth.views("test", [place]).images[0])
+        if not _same_lens(camera, self._cameras[place]):
+            reason = "was rendered elsewhere, in another shape of picture"
+            raise DataError(self._scene, reason, "Choose a size in pixels, not the window's")
+        return np.asarray(self._truth.views(self._split, [place]).images[0])
+
+
+def _same_lens(one: Camera, other: Camera) -> bool:
+    """Whether two cameras of one pose show the same in any size, within a pixel of the first."""
+    own = other.resized(one.width, one.height)
+    side = min(one.width, one.height)
+    focal = max(abs(one.fx - own.fx) / own.fx, abs(one.fy - own.fy) / own.fy)
+    return focal * side <= 1.0 and max(abs(one.cx - own.cx), abs(one.cy - own.cy)) <= 1.0
 
 
 # --------------------------------------------------------------------------- sources
@@ -327,6 +362,7 @@ def _named(name: str, runs: Path, plugins: Sequence[str], device: str) -> list[S
 
     from econgs_bench.bench.store.records import KINDS
     from econgs_bench.bench.store.store import Store
+    from econgs_bench.datasets.catalogue import open_dataset
 
     path = Path(name).expanduser()
     job = re.compile(f"({'|'.join(KINDS)})-[0-9a-f]{{16}}")
@@ -340,16 +376,29 @@ def _named(name: str, runs: Path, plugins: Sequence[str], device: str) -> list[S
             if job.fullmatch(folder.name) and (folder.parents[1] / "store.json").is_file():
                 return [_job(Store(folder.parents[1]), folder.name, plugins, device)]
         try:
-            return [_dataset(name)]
-        except DataError:
-            return [Source(path.name, lambda: _folder(path, plugins, device))]
+            dataset = open_dataset(name)
+        except DataError as error:
+            otherwise = error if _holds_data(path) else None
+            return [Source(path.name, lambda: _folder(path, plugins, device, otherwise))]
+        return [_dataset(name, dataset)]
     elif path == runs:
         Store(runs)  # says what is wrong with it
     if path.suffix.lower() in FILES and path.is_file():
         return [Source(path.name, lambda: _file(path))]
     if path.suffix.lower() == ".glb":
         raise DataError(path, "glTF is written, not read", f"Export it as {', '.join(FILES)}")
-    return [_dataset(name)]
+    return [_dataset(name, open_dataset(name))]
+
+
+def _holds_data(folder: Path) -> bool:
+    """Whether a folder looks like a dataset, usable or not."""
+    from econgs_bench.datasets.posed_images import holds_views
+    from econgs_bench.datasets.readers import folder_kind
+
+    try:
+        return holds_views(folder) or bool(folder_kind(folder))
+    except OSError:
+        return False
 
 
 def _models(store: Store, plugins: Sequence[str], device: str) -> list[Source]:
@@ -383,7 +432,7 @@ def of_job(store: Store, job_id: str, plugins: Sequence[str], device: str) -> Op
         DataError: there is no such job, or it cannot be loaded.
     """
     from econgs_bench.bench.run.plugins import plugin_folders
-    from econgs_bench.bench.saved import load, truth_of
+    from econgs_bench.bench.saved import load, measured_split, truth_of
     from econgs_bench.methods.registry import Registry
 
     loaded = store.record(job_id)
@@ -399,36 +448,63 @@ def of_job(store: Store, job_id: str, plugins: Sequence[str], device: str) -> Op
     first = definitions[names[0]]
     drawer: Drawer
     if first.views_folder is None:
-        drawer = Marched(record.job.dataset, samples=record.job.request.samples)
+        learned = {
+            name: (definitions[name], str(views.job.identity.get("scene", "")))
+            for name, (views, _) in stored.items()
+        }
+        drawer = Marched(record.job.dataset, samples=record.job.request.samples, learned=learned)
     else:
-        drawer = Stored(first.name, truth)
+        drawer = Stored(first.name, truth, measured_split(record.job))
     shown = scenes if loaded is not None and loaded.job.composition else ()
-    cameras = truth.cameras("test" if record.job.split == "test" else "val")
+    cameras = truth.cameras(measured_split(record.job))
     return Opened(
         tuple(names), first.background, cameras, model, drawer, definitions,
         frozenset(spec.edits), shown, size,
     )  # fmt: skip
 
 
-def _folder(folder: Path, plugins: Sequence[str], device: str) -> Opened:
-    """A saved model without its store: the method that reads it is the one that wrote it."""
+def _folder(folder: Path, plugins: Sequence[str], device: str, otherwise: DataError | None) -> Opened:
+    """A saved model without its store: the method that reads it is the one that wrote it.
+
+    Raises:
+        DataError: a method knows its files and cannot read them; no method does: ``otherwise`` where given.
+    """
     from econgs_bench.bench.store.store import folder_bytes
     from econgs_bench.methods.registry import Registry, load_method
+    from econgs_bench.methods.shared.files import NotSaved
 
     registry = Registry(plugins)
-    reasons = []
+    damaged = None
     for name in registry.names():
         spec = registry.spec(name)
         try:
             model = load_method(spec).load(folder, device)
         except Exception as error:  # each method refuses the files of the others in its own words
-            reasons.append(f"{name}: {error}")
+            if isinstance(error, DataError) and not isinstance(error, NotSaved):
+                damaged = damaged or error
             continue
         cameras, size = _around(model, model.scenes), folder_bytes(folder)
-        return Opened(model.scenes, WHITE, cameras, model, edits=frozenset(spec.edits), size=size)
-    raise DataError(
-        folder, f"no method reads it ({reasons[0] if reasons else 'there is none'})", "Give a job"
-    )
+        background = _recorded(model, cameras[0])
+        return Opened(model.scenes, background, cameras, model, edits=frozenset(spec.edits), size=size)
+    unknown = DataError(folder, "holds no model that a method reads, and no dataset", "Give a job")
+    raise damaged or otherwise or unknown
+
+
+def _recorded(model: Model, camera: Camera) -> RGB:
+    """The background that a model recorded, from what shines through its picture."""
+    from econgs_bench.bench.jobs.monitor import as_numpy
+    from econgs_bench.methods.interface import DrawsTogether
+
+    if isinstance(model, DrawsTogether):  # by a program of its own: slow
+        return WHITE
+    camera = camera.resized(32, 32)
+    own, alpha = map(as_numpy, model.render(camera))
+    black, _ = map(as_numpy, model.render(camera, background=(0.0, 0.0, 0.0)))
+    at = np.unravel_index(int(alpha.argmin()), alpha.shape)
+    if alpha[at] > 0.999:
+        return WHITE
+    red, green, blue = np.clip((own[at] - black[at]) / (1.0 - alpha[at]), 0.0, 1.0).round(4).tolist()
+    return red, green, blue
 
 
 def _file(file: Path) -> Opened:
@@ -462,13 +538,11 @@ def _around(model: Model, scenes: Sequence[str]) -> tuple[Camera, ...]:
     return test_cameras(_VIEWS, radius, _SIZE, _SIZE, (x, y, z))
 
 
-def _dataset(name: str) -> Source:
-    """The ground truth of a dataset; unknown names are refused at once."""
-    from econgs_bench.datasets.catalogue import open_dataset
+def _dataset(name: str, dataset: Dataset) -> Source:
+    """The ground truth of a dataset."""
     from econgs_bench.datasets.render_views import cameras_of
     from econgs_bench.datasets.views import ViewRequest
 
-    dataset = open_dataset(name)
     if dataset.kind == "views":
         raise DataError(name, "holds pictures, no volume", "View a model that was trained on it")
 

@@ -9,15 +9,19 @@ from econgs_bench.econgs.codec.group import GroupAttributes
 from econgs_bench.econgs.codec.stream import decode_group
 
 
+class NotSaved(DataError):
+    """A folder holds no files of a method's models."""
+
+
 def saved_files(folder: Path, suffix: str, method: str) -> list[Path]:
     """The files of one suffix, in order.
 
     Raises:
-        DataError: there is none.
+        NotSaved: there is none.
     """
     files = sorted(folder.glob(f"*{suffix}")) if folder.is_dir() else []
     if not files:
-        raise DataError(folder, f"no saved {method} model in it", "Give the folder that Model.save wrote")
+        raise NotSaved(folder, f"no saved {method} model in it", "Give the folder that Model.save wrote")
     return files
 
 

@@ -136,6 +136,7 @@ function facts(rate) {
   say(used().map((one) => one.error).find(Boolean) ?? "");
 }
 facts.rate = 0;
+facts.ground = false; // whether the background was chosen by hand
 
 const bytes = (/** @type {number} */ count) =>
   count < 1 << 20 ? `${(count / 1024).toFixed(1)} KiB` : `${(count / (1 << 20)).toFixed(2)} MiB`;
@@ -154,8 +155,8 @@ async function choose(layer, place, truth = false) {
       editor.show(place, known);
       byId("bookmark").replaceChildren(...known.cameras.map((one, i) =>
         element("option", {value: i, textContent: one.name || `view ${i}`})));
+      if (!facts.ground) byId("background").value = hex(known.background);
       if (first) {
-        byId("background").value = hex(known.background);
         if (!known.truth && about.sources.length > 1) byId("right").value = "1";
         stand(0);
       } else byId("bookmark").value = bookmark < known.cameras.length ? bookmark : 0;
@@ -219,7 +220,10 @@ function wire() {
     changed();
   });
   for (const id of ["split"]) on(id, "input", refresh);
-  on("background", "input", () => layers.some((one) => one.route !== "splats") ? changed() : refresh());
+  on("background", "input", () => {
+    facts.ground = true;
+    return layers.some((one) => one.route !== "splats") ? changed() : refresh();
+  });
   on("least", "input", () => { byId("leastText").textContent = byId("least").value; changed(); });
   on("size", "change", changed);
   on("bookmark", "change", () => stand(Number(byId("bookmark").value)));
