@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from econgs_bench.bench.store.store import Store
+from econgs_bench.bench.store.store import Store, folder_bytes
 from econgs_bench.datasets.errors import DataError
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 def load(
     store: Store, job_id: str, plugins: Sequence[str] = (), device: str = "cpu"
 ) -> tuple[str, tuple[str, ...], int, Model]:
-    """Method, basic scenes, bytes and model of a finished encode or measure job.
+    """Method, basic scenes, bytes of all its groups and model of a finished encode or measure job.
 
     Raises:
         DataError: there is no such job, or its method refuses to compose its groups or the device.
@@ -37,10 +38,8 @@ def load(
     from econgs_bench.methods.registry import Registry, load_method
 
     record = store.record(job_id)
-    needs = record.job.needs if record is not None and record.job.kind == "measure" else (job_id,)
-    encodes = [store.record(need) for need in needs if need.startswith("encode-")]
-    whole = bool(encodes) and all(encode is not None and encode.ok for encode in encodes)
-    if record is None or not whole or not isinstance(record.job, MethodJob):
+    encodes = _encodes(store, job_id)
+    if record is None or not encodes or not isinstance(record.job, MethodJob):
         raise DataError(
             job_id,
             f"is no finished encode or measure job of {store.root}",
@@ -51,15 +50,36 @@ def load(
         reason = f"is a model of the method {name}, which is not there"
         raise DataError(job_id, reason, "Give the folder of its plugin (--plugins DIR)")
     spec = registry.spec(name)
-    folders = [store.jobs / encode.job.id / "model" for encode in encodes if encode is not None]
+    folders = [_model(store, encode) for encode in encodes]
     try:
         prepare_device(device, spec)
         loaded = drawer_of(record.job, load_models(load_method(spec), folders, device))
         model = drawn_as(record.job, loaded)
     except Refused as error:
         raise DataError(job_id, str(error), "Render another model, or on another device") from error
-    count = sum(file.stat().st_size for folder in folders for file in folder.rglob("*") if file.is_file())
-    return spec.name, record.job.scenes, count, model
+    return spec.name, record.job.scenes, sum(map(folder_bytes, folders)), model
+
+
+def bytes_of(store: Store, job_id: str, scene: str) -> int:
+    """Bytes of the groups of a finished encode or measure job that hold a basic scene."""
+    return sum(
+        folder_bytes(_model(store, encode))
+        for encode in _encodes(store, job_id)
+        if scene in encode.job.scenes
+    )
+
+
+def _encodes(store: Store, job_id: str) -> list[Record]:
+    """The records of a model's groups; none where one is not finished."""
+    record = store.record(job_id)
+    needs = record.job.needs if record is not None and record.job.kind == "measure" else (job_id,)
+    encodes = [store.record(need) for need in needs if need.startswith("encode-")]
+    finished = [encode for encode in encodes if encode is not None and encode.ok]
+    return finished if len(finished) == len(encodes) else []
+
+
+def _model(store: Store, encode: Record) -> Path:
+    return store.jobs / encode.job.id / "model"
 
 
 def truth_of(store: Store, job_id: str, scene: str) -> tuple[Record, Truth]:

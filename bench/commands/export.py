@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import uuid
 from argparse import ArgumentParser, Namespace
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from econgs_bench.bench.commands.arguments import add_device, add_runs, add_stored, iterations
 from econgs_bench.bench.run.plugins import plugin_folders
-from econgs_bench.bench.saved import load, picture, seen
+from econgs_bench.bench.saved import bytes_of, load, measured_split, picture, seen, truth_of
 from econgs_bench.bench.store.store import Store, write_text
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.names import unknown
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
 
     from econgs_bench.datasets.camera import Camera
     from econgs_bench.datasets.scene import RGB
-    from econgs_bench.datasets.views import ViewSet
+    from econgs_bench.datasets.views import Split, ViewSet
     from econgs_bench.methods.gaussian_splatting.model import SceneGaussians
     from econgs_bench.methods.interface import Model
 
@@ -30,7 +32,7 @@ FORMATS = ("ply", "spz", "sog", "glb", "html")
 SIZES = (1, 2, 4)
 """Multiples of the size of test views at which pictures are compared."""
 _MEASURED, _ENLARGED = 8, 4
-"""Test views that are compared with the truth, and with the model's own pictures at all sizes."""
+"""Views that are compared with the truth, and with the model's own pictures at all sizes."""
 
 
 def export_arguments(parser: ArgumentParser) -> None:
@@ -55,27 +57,29 @@ def export_arguments(parser: ArgumentParser) -> None:
 
 
 def export(options: Namespace) -> int:
-    """Write the file, and say what it costs in the test views of the run store."""
+    """Write the file, and say what it costs in views of the run store."""
     from econgs_bench.methods.baking.bake import VIEWERS
 
-    file, name = Path(options.out), _format(options)
+    name = _format(options)
+    target = _target(options.out, name)
     if name == "html":
-        return _page(file, options)
+        return _page(target, options)
     store = Store(Path(options.runs))
     folders = plugin_folders(options.plugins, store.root)
     step(f"loading {options.model}")
-    method, scenes, size, model = load(store, options.model, folders, options.device)
+    method, scenes, _, model = load(store, options.model, folders, options.device)
     scene = _scene(options, scenes, model)
     cameras, background, views = _seen(store, options.model, scene)
     viewer, stages = _plain(model, scene, cameras, background, options)
     gaussians = next(reversed(stages.values()))
-    step(f"writing {file}")
-    written = _written(file, name, gaussians, viewer, options.spz_version)
-    rows = [(f"{method}, as it is", size, model)]
+    step(f"writing {options.out}")
+    written = _written(target, name, gaussians, viewer, options.spz_version)
+    rows = [(f"{method}, as it is", bytes_of(store, options.model, scene), model)]
     rows += [(title, one.rows().nbytes, _model(one)) for title, one in stages.items() if title]
-    rows.append((str(file), written, _model(_read(file, name, gaussians))))
+    rows.append((options.out, written, _model(_read(target, name, gaussians))))
+    count = f"{len(views.cameras)} {_split(store, options.model, scene)} views"
     print(
-        f"PSNR [dB] in {len(views.cameras)} test views of {scene}: against the truth in {viewer} viewers,\n"
+        f"PSNR [dB] in {count} of {scene}: against the truth in {viewer} viewers,\n"
         "and against the model's own pictures at several sizes in both kinds of viewers"
     )
     heads = "  ".join(
@@ -112,8 +116,59 @@ def _format(options: Namespace) -> str:
     return name
 
 
-def _page(file: Path, options: Namespace) -> int:
-    """Write a page for browsers, and say how near it comes to the model in test views of the run store."""
+def _target(out: str, name: str) -> Path:
+    """The file to write, at the end of links; what cannot be written is refused before minutes of work.
+
+    Raises:
+        DataError: it is no regular file, its folder cannot be written to, or the format lacks a package.
+    """
+    from econgs_bench.methods.interface import Refused
+
+    if out == "-":
+        raise DataError(out, "names no file, and no format is printed", "Give --out FILE")
+    try:
+        target = Path(out).resolve()
+        if target.is_dir():
+            raise DataError(out, "is a folder", "Name a file in it")
+        if target.exists() and not target.is_file():
+            raise DataError(out, "is a device or a pipe, which would be replaced by a file", "Name a file")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with _part(target) as part:
+            _tried(part, name)
+    except Refused as error:
+        raise DataError(out, str(error), "Install it, or choose another format") from error
+    except (OSError, RuntimeError) as error:  # the latter is a circle of links, to Python before 3.13
+        reason = getattr(error, "strerror", None) or error
+        raise DataError(out, f"cannot be written ({reason})", "Name another file") from error
+    return target
+
+
+def _tried(part: Path, name: str) -> None:
+    """Write a scene without Gaussians, so that what a format needs is missed now; a page needs nothing."""
+    import numpy as np
+
+    from econgs_bench.methods.formats.gaussians import SHAPES, scene_of
+
+    if name == "html":
+        part.touch()
+        return
+    none = {one: np.zeros((0, *shape), np.float32) for one, shape in SHAPES.items()}
+    scene = scene_of(none, "", (0.0, 0.0, 0.0), 0)
+    import_module(f"econgs_bench.methods.formats.{name}").write(part, scene)
+
+
+@contextmanager
+def _part(target: Path) -> Iterator[Path]:
+    """A file beside another, which takes its place when it is whole; it is gone at the end."""
+    part = target.with_name(f".{target.name}.{uuid.uuid4().hex}")
+    try:
+        yield part
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _page(target: Path, options: Namespace) -> int:
+    """Write a page for browsers, and say how near it comes to the model in views of the run store."""
     import numpy as np
 
     from econgs_bench.bench.jobs.measure import premultiplied
@@ -130,10 +185,10 @@ def _page(file: Path, options: Namespace) -> int:
         raise unknown("scene", options.scene, opened.scenes, of="this model")
     scenes = (options.scene,) if options.scene else opened.scenes
     page = page_of(store, options.model, opened, scenes)
-    step(f"writing {file}")
-    file.parent.mkdir(parents=True, exist_ok=True)
-    write_text(file, page.text)
-    print(f"PSNR [dB] in up to {_MEASURED} test views; the page at 16 bits, drawn here")
+    step(f"writing {options.out}")
+    write_text(target, page.text)
+    split = _split(store, options.model, scenes[0])
+    print(f"PSNR [dB] in up to {_MEASURED} {split} views; the page at 16 bits, drawn here")
     print(f"{'model, truth':>12} {'page, truth':>12} {'page, model':>12}")
     for scene in scenes:
         views = _seen(store, options.model, scene)[2]
@@ -147,8 +202,9 @@ def _page(file: Path, options: Namespace) -> int:
                 for target, drawn in pairs
             ])  # fmt: skip
         print(" ".join(f"{value:12.2f}" for value in np.mean(rows, axis=0)), f" {scene}")
-    size = file.stat().st_size
-    print(f"{file}: {size:,} bytes, {size / page.half:.2f} times the Gaussians at 16 bits ({page.half:,})")
+    size = target.stat().st_size
+    times = f"{size / page.half:.2f} times the Gaussians at 16 bits ({page.half:,})"
+    print(f"{options.out}: {size:,} bytes, {times}")
     return 0
 
 
@@ -164,10 +220,16 @@ def _scene(options: Namespace, scenes: Sequence[str], model: Model) -> str:
 
 
 def _seen(store: Store, job: str, scene: str) -> tuple[Sequence[Camera], RGB, ViewSet]:
-    """Cameras that a job's fit saw of a scene, its background, and the test views that are measured."""
+    """Cameras that a job's fit saw of a scene, its background, and the views that are measured."""
     cameras, background, truth = seen(store, job, scene)
-    count = len(truth.cameras("test"))
-    return cameras, background, truth.views("test", range(0, count, max(1, -(-count // _MEASURED))))
+    split = _split(store, job, scene)
+    count = len(truth.cameras(split))
+    return cameras, background, truth.views(split, range(0, count, max(1, -(-count // _MEASURED))))
+
+
+def _split(store: Store, job: str, scene: str) -> Split:
+    """The views of a scene that are measured."""
+    return measured_split(truth_of(store, job, scene)[0].job)
 
 
 def _plain(
@@ -200,22 +262,15 @@ def _plain(
     return viewer, stages
 
 
-def _written(file: Path, name: str, gaussians: SceneGaussians, viewer: str, spz_version: int | None) -> int:
+def _written(target: Path, name: str, gaussians: SceneGaussians, viewer: str, spz_version: int | None) -> int:
     """Write the file whole, or not at all; its bytes."""
-    from econgs_bench.methods.interface import Refused
-
-    module = import_module(f"econgs_bench.methods.formats.{name}")
-    more = {"antialiased": viewer == "antialiased", "version": spz_version or 3} if name == "spz" else {}
-    file.parent.mkdir(parents=True, exist_ok=True)
-    part = file.with_name(f".{file.name}.part")
-    try:
-        module.write(part, gaussians, **more)
-        part.replace(file)
-    except Refused as error:
-        raise DataError(file, str(error), "Install it, or choose another format") from error
-    finally:
-        part.unlink(missing_ok=True)
-    return file.stat().st_size
+    more = {"version": spz_version} if spz_version else {}
+    with _part(target) as part:
+        import_module(f"econgs_bench.methods.formats.{name}").write(
+            part, gaussians, antialiased=viewer == "antialiased", **more
+        )
+        part.replace(target)
+    return target.stat().st_size
 
 
 def _read(file: Path, name: str, gaussians: SceneGaussians) -> SceneGaussians:
@@ -224,8 +279,8 @@ def _read(file: Path, name: str, gaussians: SceneGaussians) -> SceneGaussians:
 
     if name == "glb":
         return gaussians
-    values = import_module(f"econgs_bench.methods.formats.{name}").read(file)
-    return scene_of(values, gaussians.name, gaussians.background, gaussians.sh_degree)
+    contents = import_module(f"econgs_bench.methods.formats.{name}").read(file)
+    return scene_of(contents.tables, gaussians.name, gaussians.background, gaussians.sh_degree)
 
 
 def _model(gaussians: SceneGaussians) -> Model:

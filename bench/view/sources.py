@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 Picture = NDArray[np.float32]
 """(height, width, 4) premultiplied RGBA in [0, 1], without a background."""
 Edits = Mapping[str, "Edit"]
-FILES = (".ply", ".spz", ".sog")
-"""Exported files that can be read again."""
 _VIEWS = 16  # bookmarks of a source that no test views belong to
 _SIZE = 256
 _PREPARED = 4  # scenes whose tracing is set up
@@ -176,6 +174,7 @@ class Opened:
         size: bytes of the files; None of the truth.
         seconds: time to load.
         editable: its scenes, whose transfer functions can be edited; None: they cannot.
+        viewer: the kind of viewers that an exported file is for, as it is drawn; "" of all else.
     """
 
     scenes: tuple[str, ...]
@@ -189,6 +188,7 @@ class Opened:
     size: int | None = None
     seconds: float = 0.0
     editable: Editable | None = None
+    viewer: str = ""
 
     def defined(self, tables: Any) -> Opened:
         """The same with the scenes of tables (:class:`.datasets.catalogue.editing.Editable`).
@@ -231,6 +231,7 @@ class Opened:
             "edits": sorted(self.edits),
             "shown": self.shown or self.scenes[:1],
             "bytes": self.size,
+            "viewer": self.viewer,
             "seconds": self.seconds,
             "tables": None if self.editable is None else self.editable.tables,
             "variables": [] if self.editable is None else list(self.editable.dataset.volumes),
@@ -363,6 +364,7 @@ def _named(name: str, runs: Path, plugins: Sequence[str], device: str) -> list[S
     from econgs_bench.bench.store.records import KINDS
     from econgs_bench.bench.store.store import Store
     from econgs_bench.datasets.catalogue import open_dataset
+    from econgs_bench.methods.formats import READ, refuse_unread
 
     path = Path(name).expanduser()
     job = re.compile(f"({'|'.join(KINDS)})-[0-9a-f]{{16}}")
@@ -383,10 +385,9 @@ def _named(name: str, runs: Path, plugins: Sequence[str], device: str) -> list[S
         return [_dataset(name, dataset)]
     elif path == runs:
         Store(runs)  # says what is wrong with it
-    if path.suffix.lower() in FILES and path.is_file():
+    if path.suffix.lower() in READ and path.is_file():
         return [Source(path.name, lambda: _file(path))]
-    if path.suffix.lower() == ".glb":
-        raise DataError(path, "glTF is written, not read", f"Export it as {', '.join(FILES)}")
+    refuse_unread(path)
     return [_dataset(name, open_dataset(name))]
 
 
@@ -508,20 +509,27 @@ def _recorded(model: Model, camera: Camera) -> RGB:
 
 
 def _file(file: Path) -> Opened:
-    """An exported file, drawn as plain viewers draw it."""
+    """An exported file, drawn by the viewers that it says it is for: plain ones where it says nothing."""
     from importlib import import_module
 
+    from econgs_bench.methods.baking.bake import VIEWERS
     from econgs_bench.methods.formats.gaussians import scene_of
     from econgs_bench.methods.gaussian_splatting.model import GaussianModel
     from econgs_bench.methods.interface import Refused
+    from econgs_bench.methods.shared.rendering import Rendering
 
     module = import_module(f"econgs_bench.methods.formats.{file.suffix.lower().lstrip('.')}")
     try:
-        model = GaussianModel([scene_of(module.read(file), file.stem, WHITE, 3)])
+        contents = module.read(file)
     except Refused as error:
         raise DataError(file, str(error), "Install it, or export another format") from error
+    model = GaussianModel([scene_of(contents.tables, file.stem, WHITE, 3)])
+    model = model.drawn_by(Rendering(low_pass=VIEWERS[contents.viewer]))
     cameras = _around(model, model.scenes)
-    return Opened(model.scenes, WHITE, cameras, model, edits=frozenset({"opacity"}), size=file.stat().st_size)
+    return Opened(
+        model.scenes, WHITE, cameras, model, edits=frozenset({"opacity"}), size=file.stat().st_size,
+        viewer=contents.viewer,
+    )  # fmt: skip
 
 
 def _around(model: Model, scenes: Sequence[str]) -> tuple[Camera, ...]:

@@ -141,7 +141,7 @@ def _read(file: Path, device: str) -> tuple[SceneGaussians, SavedScene]:
         raise DataError(file, reason, "Save the model again") from error
     module = _format(number)
     gaussians = file.with_suffix(module.SUFFIX)
-    scene = scene_of(module.read(gaussians), name, background, degree, device)
+    scene = scene_of(module.read(gaussians).tables, name, background, degree, device)
     return scene, SavedScene(number, gaussians.read_bytes(), data)
 
 

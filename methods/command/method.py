@@ -369,7 +369,7 @@ class GaussiansHere(SplatModel):
         with closing(Work(programs.scratch)) as work:
             file = work.path / Path(names[0]).name
             frozen.files[names[0]].tofile(file)
-            rows, degree = read_any(file)
+            rows, degree, _ = read_any(file)
         model = cls([SceneGaussians.from_rows(frozen.scene, frozen.background, degree, rows, device)])
         model.frozen = frozen
         return model

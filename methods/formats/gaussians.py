@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -43,6 +43,24 @@ _PARITIES = ("y", "z", "x", "xy", "yz", "", "xz", "", "y", "xyz", "y", "z", "x",
 """Axes in which each harmonic above the constant one is odd."""
 
 
+class Contents(NamedTuple):
+    """What a file holds.
+
+    Attributes:
+        tables: its Gaussians.
+        antialiased: whether it says that viewers shall shrink opacities to compensate for their filter; a
+            file without a mark is drawn without.
+    """
+
+    tables: Tables
+    antialiased: bool = False
+
+    @property
+    def viewer(self) -> str:
+        """Who draws it right, a key of :data:`.methods.baking.bake.VIEWERS`."""
+        return "antialiased" if self.antialiased else "plain"
+
+
 class Format(Protocol):
     """A file format; the modules of this package are ones.
 
@@ -53,15 +71,29 @@ class Format(Protocol):
     SUFFIX: str
 
     @staticmethod
-    def write(file: Path, scene: SceneGaussians) -> Mapping[str, int]:
-        """Write a scene; bytes by part, which sum to the size of the file."""
+    def write(file: Path, scene: SceneGaussians, *, antialiased: bool = False) -> Mapping[str, int]:
+        """Write a scene.
+
+        Args:
+            file: where to.
+            scene: its Gaussians.
+            antialiased: whether they are made for viewers that compensate for their filter. The file says so
+                where the format has a mark; a file that is not for them has none.
+
+        Returns:
+            Bytes by part, which sum to the size of the file.
+
+        Raises:
+            Refused: a package that the format needs is not installed.
+        """
 
     @staticmethod
-    def read(file: Path) -> Tables:
+    def read(file: Path) -> Contents:
         """Read what a writer of the format wrote.
 
         Raises:
             DataError: the file is missing, damaged or of another kind.
+            Refused: a package that the format needs is not installed.
         """
 
 
@@ -108,14 +140,15 @@ def drawable(scene: SceneGaussians) -> SceneGaussians:
     return replace(scene, **{name: getattr(scene, name).index_select(0, rows) for name in SHAPES})
 
 
-def checked(file: Path, format: str, read: Callable[[], Tables]) -> Tables:
+def checked(file: Path, format: str, read: Callable[[], Contents]) -> Contents:
     """What a reader reads, if it is a scene.
 
     Raises:
         DataError: it cannot be read, has tables of other shapes, or a Gaussian that cannot be drawn.
     """
     try:
-        values = read()
+        contents = read()
+        values = contents.tables
         count = len(values["means"])
         for name, shape in SHAPES.items():
             if values[name].shape != (count, *shape):
@@ -131,4 +164,4 @@ def checked(file: Path, format: str, read: Callable[[], Tables]) -> Tables:
     except Exception as error:  # libraries raise what they like for damaged data
         reason = f"cannot be read as {format} ({type(error).__name__}: {error})"
         raise DataError(file, reason, "Write or download it again") from error
-    return values
+    return contents

@@ -26,8 +26,8 @@ _POINTS, _FLOAT, _BYTE, _ARRAY_BUFFER = 0, 5126, 5121, 34962
 _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 
 
-def write(file: Path, scene: SceneGaussians) -> Mapping[str, int]:
-    """Write a scene; bytes by part."""
+def write(file: Path, scene: SceneGaussians, *, antialiased: bool = False) -> Mapping[str, int]:
+    """Write a scene; bytes by part. The format has no mark for ``antialiased``."""
     values, degree = tables(scene, LEFT_UP_FRONT), degree_of(scene)
     opacities = 1.0 / (1.0 + np.exp(-values["logits"]))
     shown = np.column_stack([0.5 + SH_C0 * values["sh_dc"][:, 0], opacities])

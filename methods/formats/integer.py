@@ -39,7 +39,15 @@ from econgs_bench.econgs.codec.tables import (
     low_bits,
     table_index,
 )
-from econgs_bench.methods.formats.gaussians import COEFFICIENTS, SHAPES, Tables, checked, degree_of, tables
+from econgs_bench.methods.formats.gaussians import (
+    COEFFICIENTS,
+    SHAPES,
+    Contents,
+    Tables,
+    checked,
+    degree_of,
+    tables,
+)
 from econgs_bench.methods.gaussian_splatting.model import SceneGaussians
 
 SUFFIX = ".ints"
@@ -82,13 +90,16 @@ class _Quantised:
     columns: Mapping[str, Whole]
 
 
-def write(file: Path, scene: SceneGaussians, factor: float = 1.0) -> Mapping[str, int]:
+def write(
+    file: Path, scene: SceneGaussians, factor: float = 1.0, *, antialiased: bool = False
+) -> Mapping[str, int]:
     """Write a scene; bytes by part.
 
     Args:
         file: where to.
         scene: its Gaussians.
         factor: on all steps.
+        antialiased: the format has no mark for it.
     """
     degree = degree_of(scene)
     whole = _quantised(tables(scene), degree, factor)
@@ -106,13 +117,13 @@ def write(file: Path, scene: SceneGaussians, factor: float = 1.0) -> Mapping[str
     return parts | {"header": total - sum(parts.values())}
 
 
-def read(file: Path) -> Tables:
+def read(file: Path) -> Contents:
     """Read a scene.
 
     Raises:
         DataError: the file is missing, damaged or of another kind.
     """
-    return checked(file, "whole numbers of Gaussians", lambda: _parsed(file.read_bytes()))
+    return checked(file, "whole numbers of Gaussians", lambda: Contents(_parsed(file.read_bytes())))
 
 
 def _parsed(data: bytes) -> Tables:

@@ -24,7 +24,15 @@ from numpy.typing import NDArray
 from econgs_bench.datasets.bounded import json_of, opened, room
 from econgs_bench.econgs.codebooks import nearest, quantise, quantise_scalars
 from econgs_bench.econgs.codec.positions import PositionGrid, morton_order
-from econgs_bench.methods.formats.gaussians import COEFFICIENTS, SHAPES, Tables, checked, degree_of, tables
+from econgs_bench.methods.formats.gaussians import (
+    COEFFICIENTS,
+    SHAPES,
+    Contents,
+    Tables,
+    checked,
+    degree_of,
+    tables,
+)
 from econgs_bench.methods.gaussian_splatting.model import SceneGaussians
 from econgs_bench.methods.shared.decoders import check_count, decoded
 
@@ -36,17 +44,22 @@ _PARTS = {"means": 2, "quats": 1, "scales": 1, "sh0": 1}
 _LEAST = 1e-6  # opacities lie within this of 0 and 1
 _CONTENTS = "meta.json"
 _TIME = (1980, 1, 1, 0, 0, 0)
+_ANTIALIASED = {"antialias": True, "model": "antialiased"}
+"""That viewers shall compensate for their filter: as version 2 was published, and as viewers read it now."""
 
 Bytes = NDArray[np.uint8]
 
 
-def write(file: Path, scene: SceneGaussians, seed: int = 0) -> Mapping[str, int]:
+def write(
+    file: Path, scene: SceneGaussians, seed: int = 0, *, antialiased: bool = False
+) -> Mapping[str, int]:
     """Write a scene, in Morton order; bytes by part.
 
     Args:
         file: where to.
         scene: its Gaussians.
         seed: of the palette's first words.
+        antialiased: whether to say that viewers shall compensate for their filter.
     """
     values, degree = tables(scene), degree_of(scene)
     if len(scene):
@@ -55,6 +68,7 @@ def write(file: Path, scene: SceneGaussians, seed: int = 0) -> Mapping[str, int]
         values = {name: one[order] for name, one in values.items()}
     images: dict[str, Bytes] = {}
     about: dict[str, Any] = {"version": 2, "asset": {"generator": "econgs-bench"}, "count": len(scene)}
+    about |= _ANTIALIASED if antialiased else {}
 
     logs = np.sign(values["means"]) * np.log1p(np.abs(values["means"].astype(np.float64)))
     low, high = (_rows(logs, bound) for bound in (np.min, np.max))
@@ -105,20 +119,22 @@ def write(file: Path, scene: SceneGaussians, seed: int = 0) -> Mapping[str, int]
     return sizes | {"archive": total - sum(sizes.values())}
 
 
-def read(file: Path) -> Tables:
+def read(file: Path) -> Contents:
     """Read a scene.
 
     Raises:
         DataError: the file is missing, damaged or of another kind.
     """
 
-    def parsed() -> Tables:
+    def parsed() -> Contents:
         with zipfile.ZipFile(file) as archive:
             about = json_of(_member(archive, _CONTENTS))
             if about.get("version") != 2:
                 raise ValueError(f"version {about.get('version')!r} instead of 2")
             check_count(int(about["count"]), file.stat().st_size)
-            return _tables(_images(archive, about), about)
+            # Programs write one entry or the other; `model` is the newer, and can say more.
+            model = about.get("model", "antialiased" if about.get("antialias") is True else "")
+            return Contents(_tables(_images(archive, about), about), model == _ANTIALIASED["model"])
 
     return checked(file, "SOG", parsed)
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import gzip
 import struct
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from econgs_bench.methods.formats.gaussians import (
     COEFFICIENTS,
     RIGHT_UP_BACK,
     SHAPES,
-    Tables,
+    Contents,
     checked,
     degree_of,
     tables,
@@ -48,8 +49,9 @@ def write(
     file: Path,
     scene: SceneGaussians,
     bits: tuple[int, int, int] = BITS,
-    antialiased: bool = False,
     version: int = VERSION,
+    *,
+    antialiased: bool = False,
 ) -> Mapping[str, int]:
     """Write a scene; bytes by part.
 
@@ -57,8 +59,8 @@ def write(
         file: where to.
         scene: its Gaussians.
         bits: of coefficients of degree 1, 2 and 3, at most 8.
-        antialiased: whether to say that viewers shall compensate for their filter.
         version: 3 (one stream of gzip) or 4 (a frame of Zstandard for each table).
+        antialiased: whether to say that viewers shall compensate for their filter.
 
     Raises:
         Refused: gsply is not installed.
@@ -82,7 +84,7 @@ def write(
     return {"file": file.write_bytes(whole)}
 
 
-def read(file: Path) -> Tables:
+def read(file: Path) -> Contents:
     """Read a scene.
 
     Raises:
@@ -90,12 +92,16 @@ def read(file: Path) -> Tables:
         Refused: gsply is not installed.
     """
 
-    def parsed() -> Tables:
+    def parsed() -> Contents:
         data = file.read_bytes()
-        found = decoded("spz", _version_3(data) if data[:4] == b"NGSP" else data)
+        bare = data[:4] == b"NGSP"
+        found = decoded("spz", _version_3(data) if bare else data)
         rest = np.zeros((len(found["means"]), *SHAPES["sh_rest"]), np.float32)
         rest[:, : found["sh_rest"].shape[1]] = found["sh_rest"]
-        return turned({**found, "sh_rest": rest}, RIGHT_UP_BACK)
+        # gsply drops the flag, which lies in the first bytes: of the file, or of its stream of gzip.
+        head = data if bare else zlib.decompressobj(zlib.MAX_WBITS | 16).decompress(data, _HEAD.size)
+        marked = bool(head[_FLAGS] & ANTIALIASED)
+        return Contents(turned({**found, "sh_rest": rest}, RIGHT_UP_BACK), marked)
 
     return checked(file, "SPZ", parsed)
 

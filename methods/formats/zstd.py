@@ -9,7 +9,7 @@ from pathlib import Path
 import imagecodecs
 
 from econgs_bench.methods.formats import ply
-from econgs_bench.methods.formats.gaussians import Tables, checked
+from econgs_bench.methods.formats.gaussians import Contents, checked
 from econgs_bench.methods.gaussian_splatting.model import SceneGaussians
 from econgs_bench.methods.shared.decoders import decoded
 
@@ -17,22 +17,22 @@ SUFFIX = ".ply.zst"
 LEVEL = 19
 
 
-def write(file: Path, scene: SceneGaussians) -> Mapping[str, int]:
-    """Write a scene; bytes by part."""
+def write(file: Path, scene: SceneGaussians, *, antialiased: bool = False) -> Mapping[str, int]:
+    """Write a scene; bytes by part. See :class:`.methods.formats.gaussians.Format`."""
     with tempfile.TemporaryDirectory() as folder:
         plain = Path(folder, "scene.ply")
-        ply.write(plain, scene)
+        ply.write(plain, scene, antialiased=antialiased)
         return {"file": file.write_bytes(imagecodecs.zstd_encode(plain.read_bytes(), level=LEVEL))}
 
 
-def read(file: Path) -> Tables:
+def read(file: Path) -> Contents:
     """Read a scene.
 
     Raises:
         DataError: the file is missing, damaged or of another kind.
     """
 
-    def parsed() -> Tables:
+    def parsed() -> Contents:
         data = decoded("zstd", file.read_bytes())["bytes"].tobytes()
         with tempfile.TemporaryDirectory() as folder:
             plain = Path(folder, "scene.ply")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,14 @@ LARGEST_LOG = float(np.log(np.finfo(np.float32).max))
 """Of a scale in float32."""
 _SUM = "crc32"
 """Name of the comment with the checksum of the data, which other writers lack."""
+ANTIALIASED = "SplatRenderMode: mip"
+"""Comment of Brush and PlayCanvas: viewers shall shrink opacities to compensate for their filter."""
+_MODES = {
+    ("splatrendermode:", "mip"): True, ("splatrendermode:", "default"): False,
+    ("splatrendermode:", "2dgs"): False, ("antialiased", "1"): True, ("antialiased", "0"): False,
+    ("postshot.anti_aliasing=1",): True, ("postshot.anti_aliasing=0",): False,
+}  # fmt: skip
+"""Words of comments, in small letters, that say whether they shall: of Brush, and of Postshot."""
 _MAX_HEADER = 1 << 16
 
 
@@ -36,15 +45,17 @@ def properties(parts: Parts) -> tuple[str, ...]:
     return tuple(name for names in parts.values() for name in names)
 
 
-def write_ply(path: Path, rows: NDArray[np.float32], parts: Parts = PARTS) -> dict[str, int]:
-    """Write (N, columns) ``rows``, columns as in ``properties(parts)``.
+def write_ply(
+    path: Path, rows: NDArray[np.float32], parts: Parts = PARTS, comments: Sequence[str] = ()
+) -> dict[str, int]:
+    """Write (N, columns) ``rows``, columns as in ``properties(parts)``, and comments of the header.
 
     Returns:
         Bytes by part; "header" and the parts sum to the size of the file.
     """
     data = np.ascontiguousarray(rows, dtype="<f4").tobytes()
     lines = ["ply", "format binary_little_endian 1.0", f"comment {_SUM} {zlib.crc32(data):08x}"]
-    lines += [f"element vertex {len(rows)}"]
+    lines += [*(f"comment {comment}" for comment in comments), f"element vertex {len(rows)}"]
     lines += [f"property float {name}" for name in properties(parts)]
     header = "\n".join([*lines, "end_header\n"]).encode("ascii")
     with path.open("wb") as file:
@@ -62,7 +73,7 @@ def read_ply(path: Path, parts: Parts = PARTS) -> NDArray[np.float32]:
     try:
         with path.open("rb") as file:
             head = file.read(_MAX_HEADER)
-            count, names, start, checksum = _parse_header(path, head, properties(parts))
+            count, names, start, checksum, _ = _parse_header(path, head, properties(parts))
             payload = path.stat().st_size - start
             expected = 4 * len(names) * count
             if payload != expected:
@@ -89,32 +100,45 @@ def read_ply(path: Path, parts: Parts = PARTS) -> NDArray[np.float32]:
     return rows
 
 
-def read_any(path: Path) -> tuple[NDArray[np.float32], int]:
-    """The (N, 62) values of a PLY of another trainer, and its degree of spherical harmonics.
+class AnyPly(NamedTuple):
+    """A PLY of any trainer.
+
+    Attributes:
+        rows: (N, 62) values, columns as in ``properties(PARTS)``.
+        degree: of spherical harmonics.
+        antialiased: whether it says that viewers shall compensate for their filter.
+    """
+
+    rows: NDArray[np.float32]
+    degree: int
+    antialiased: bool
+
+
+def read_any(path: Path) -> AnyPly:
+    """Read a PLY of any trainer.
 
     Normals may be missing, and coefficients beyond its degree, which become zeros.
 
     Raises:
         DataError: as :func:`read_ply`.
     """
+    least = {part: columns for part, columns in PARTS.items() if part not in ("normals", "sh_rest")}
     try:
         with path.open("rb") as file:
-            names = _parse_header(path, file.read(_MAX_HEADER), ("x", "y", "z", "opacity"))[1]
+            header = _parse_header(path, file.read(_MAX_HEADER), properties(least))
     except OSError as error:
         raise DataError(path, f"cannot be read ({error.strerror})", "Check the path") from error
-    count = sum(name.startswith("f_rest_") for name in names)
+    count = sum(name.startswith("f_rest_") for name in header.names)
     if count not in (degrees := {0: 0, 9: 1, 24: 2, 45: 3}):
         raise DataError(path, f"has {count} coefficients f_rest", f"Write {', '.join(map(str, degrees))}")
-    parts = {part: columns for part, columns in PARTS.items() if part != "normals"}
-    parts["sh_rest"] = PARTS["sh_rest"][:count]
-    rows = read_ply(path, {part: columns for part, columns in parts.items() if columns})
+    rows = read_ply(path, least | ({"sh_rest": PARTS["sh_rest"][:count]} if count else {}))
     whole = np.zeros((len(rows), len(properties(PARTS))), np.float32)
     if count:  # channel after channel
-        rest = rows[:, 6 : 6 + count].reshape(len(rows), 3, count // 3)
+        rest = rows[:, 14:].reshape(len(rows), 3, count // 3)
         padded = np.pad(rest, ((0, 0), (0, 0), (0, 15 - count // 3)))
         whole[:, _places(PARTS, "f_rest_")] = padded.reshape(len(rows), 45)
-    whole[:, :3], whole[:, 6:9], whole[:, 54:] = rows[:, :3], rows[:, 3:6], rows[:, 6 + count :]
-    return whole, degrees[count]
+    whole[:, :3], whole[:, 6:9], whole[:, 54:] = rows[:, :3], rows[:, 3:6], rows[:, 6:14]
+    return AnyPly(whole, degrees[count], header.antialiased)
 
 
 def no_turn(quats: NDArray[np.float32]) -> bool:
@@ -127,10 +151,17 @@ def _places(parts: Parts, prefix: str) -> list[int]:
     return [place for place, name in enumerate(properties(parts)) if name.startswith(prefix)]
 
 
-def _parse_header(
-    path: Path, head: bytes, columns: tuple[str, ...]
-) -> tuple[int, list[str], int, str | None]:
-    """Number of vertices, property names in file order, offset of the data, and its checksum, if any."""
+class _Header(NamedTuple):
+    """Number of vertices, property names in file order, offset and checksum of the data, and the mark."""
+
+    count: int
+    names: list[str]
+    start: int
+    checksum: str | None
+    antialiased: bool
+
+
+def _parse_header(path: Path, head: bytes, columns: tuple[str, ...]) -> _Header:
     remedy = (
         f"Give a binary little-endian PLY with these {len(columns)} float32: {columns[0]} ... {columns[-1]}"
     )
@@ -141,11 +172,14 @@ def _parse_header(
     lines = [line.split() for line in head[:end].decode("ascii", "replace").splitlines()]
     count: int | None = None
     checksum: str | None = None
+    antialiased = False
     names: list[str] = []
     for words in lines[1:]:
         match words:
             case ["comment", name, digits] if name == _SUM:
                 checksum = digits
+            case ["comment", *mode] if tuple(word.lower() for word in mode) in _MODES:  # the last one counts
+                antialiased = _MODES[tuple(word.lower() for word in mode)]
             case [] | ["comment" | "obj_info", *_]:
                 pass
             case ["format", "binary_little_endian", "1.0"]:
@@ -161,4 +195,4 @@ def _parse_header(
     missing = [name for name in columns if name not in names]
     if missing:
         raise DataError(path, f"property {missing[0]!r} is missing ({len(missing)} in all)", remedy)
-    return count, names, end + len(marker), checksum
+    return _Header(count, names, end + len(marker), checksum, antialiased)

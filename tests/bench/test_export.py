@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import gzip
+import os
 import re
+import sys
+from pathlib import Path
 
 import pytest
 
 from econgs_bench.bench.__main__ import main
+from econgs_bench.bench.commands import export
 from econgs_bench.bench.store.store import Store
+from econgs_bench.bench.view.sources import found
+from econgs_bench.methods.baking.bake import VIEWERS
 from econgs_bench.methods.formats import ply, sog, spz
 
 SUITE = """
@@ -40,12 +46,35 @@ def store(tmp_path_factory):
     return folder / "runs"
 
 
+@pytest.fixture(scope="module")
+def closed(tmp_path_factory):
+    """A run store that keeps its test views closed, with three scenes and their composition."""
+    folder = tmp_path_factory.mktemp("closed")
+    suite = SUITE.replace("train_views = 6", "train_views = 12")
+    suite = suite.replace('["core"]', '["outer", "middle", "core"]').replace(
+        "[datasets]", 'compositions = "all"\n[datasets]'
+    )
+    (folder / "suite.toml").write_text(suite)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("BENCH_LOCKS", str(folder / "locks"))
+        patch.setenv("BENCH_CACHE", str(folder / "cache"))
+        command = ["run", str(folder / "suite.toml"), "--set", "3dgs.iterations=4", "--split", "val"]
+        assert main([*command, "--out", str(folder / "runs"), "--no-report"]) == 0
+    return folder / "runs"
+
+
 def job(store, variant):
     """The encode job of a configuration."""
     opened = Store(store)
     records = [opened.record(path.name) for path in (store / "jobs").glob("encode-*")]
     (found,) = [one.job.id for one in records if one.job.overrides.get("configuration", "fair") == variant]
     return found
+
+
+def encodes(store, scene):
+    """The finished encode jobs of a scene."""
+    records = Store(store).records()
+    return [one for one in records if one.job.kind == "encode" and one.ok and scene in one.job.scenes]
 
 
 def table(capsys):
@@ -72,7 +101,7 @@ def test_each_format_is_written_and_its_cost_told(store, tmp_path, capsys, form)
     assert list(tmp_path.iterdir()) == [file]
     readers = {"ply": ply, "spz": spz, "sog": sog}
     if form in readers:
-        assert len(readers[form].read(file)["means"]) > 0
+        assert len(readers[form].read(file).tables["means"]) > 0
 
 
 def test_a_model_that_is_plain_is_exported_as_it_is(store, tmp_path, capsys):
@@ -113,6 +142,37 @@ def test_rows_of_a_report_link_to_their_models(store, tmp_path, capsys):
     assert "have no page" not in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("form", ["ply", "spz", "sog"])
+@pytest.mark.parametrize("viewer", ["antialiased", "plain"])
+def test_a_file_is_shown_by_the_viewers_that_it_is_for(store, tmp_path, form, viewer):
+    file = tmp_path / f"core.{form}"
+    more = ["--distil", "0", "--viewer", viewer, "--out", str(file)]
+    assert main(["export", job(store, "fair"), "--runs", str(store), *more]) == 0
+    (source,) = found([str(file)], store, (), "cpu")
+    assert source.open().model.rendering.low_pass == VIEWERS[viewer]
+
+
+@pytest.mark.parametrize("form", ["ply", "html"])
+def test_a_store_whose_test_views_are_closed_is_exported(closed, tmp_path, capsys, form):
+    (encode,) = encodes(closed, "core")
+    more = ["--distil", "0", "--out", str(tmp_path / f"core.{form}")]
+    assert main(["export", encode.job.id, "--runs", str(closed), *more]) == 0
+    assert "val views" in capsys.readouterr().out
+
+
+def test_a_scene_of_a_composition_costs_the_bytes_of_its_own_group(closed, tmp_path, capsys):
+    (encode,) = encodes(closed, "core")
+    (composed,) = [
+        one for one in Store(closed).records() if one.job.kind == "measure" and one.job.composition
+    ]
+    rows = []
+    for one in (encode, composed):
+        more = ["--scene", "core", "--distil", "0", "--out", str(tmp_path / "core.ply")]
+        assert main(["export", one.job.id, "--runs", str(closed), *more]) == 0
+        rows.append(table(capsys)[1][0])
+    assert rows[0][1:3] == rows[1][1:3]  # bytes and primitives
+
+
 @pytest.mark.parametrize(("version", "viewer"), [(3, "plain"), (4, "antialiased")])
 def test_spz_says_for_whom_it_is(store, tmp_path, version, viewer):
     file = tmp_path / "core.spz"
@@ -139,6 +199,60 @@ def test_spz_says_for_whom_it_is(store, tmp_path, version, viewer):
 def test_what_cannot_be_exported_is_refused(store, capsys, more, says):
     assert main(["export", job(store, "fair"), "--runs", str(store), *more]) == 2
     assert says in capsys.readouterr().err
+
+
+@pytest.fixture
+def untouched(monkeypatch):
+    """Export fails as soon as it begins to work."""
+
+    def loaded(*_):
+        raise AssertionError("a model was loaded")
+
+    monkeypatch.setattr(export, "load", loaded)
+
+
+def test_a_target_that_cannot_be_written_is_refused_before_any_work(untouched, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "folder.ply").mkdir()
+    (tmp_path / "file").write_text("")
+    os.mkfifo(tmp_path / "pipe.ply")
+    Path("link.ply").symlink_to("pipe.ply")
+    Path("circle.ply").symlink_to("circle.ply")
+    before = sorted(path.name for path in tmp_path.iterdir())
+    for out, says in {
+        "folder.ply": "is a folder. Name a file in it",
+        "pipe.ply": "is a device or a pipe",
+        "link.ply": "is a device or a pipe",
+        "circle.ply": "cannot be written",
+        "file/a.ply": "cannot be written",
+        "-": "names no file",
+    }.items():
+        for form in ("ply", "html"):
+            assert main(["export", "job", "--runs", "runs", "--format", form, "--out", out]) == 2
+            assert f"{out}: {says}" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+    assert (tmp_path / "pipe.ply").is_fifo()
+
+
+def test_a_package_that_is_missing_is_named_before_any_work(untouched, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "gsply", None)
+    assert main(["export", "job", "--runs", str(tmp_path), "--out", str(tmp_path / "a.spz")]) == 2
+    assert "econgs-bench[rivals]" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("form", ["ply", "html"])
+def test_a_link_keeps_pointing_to_the_file_that_is_written(store, tmp_path, form):
+    link, file = tmp_path / f"link.{form}", tmp_path / "below" / f"core.{form}"
+    file.parent.mkdir()
+    file.write_text("old")
+    link.symlink_to(file)
+    more = ["--out", str(link), *(["--distil", "0"] if form == "ply" else [])]
+    assert main(["export", job(store, "fair"), "--runs", str(store), *more]) == 0
+    assert link.is_symlink()
+    assert file.stat().st_size > 1000
+    assert list(file.parent.iterdir()) == [file]
 
 
 def test_a_negative_number_of_iterations_is_refused(capsys):

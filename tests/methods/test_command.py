@@ -258,7 +258,7 @@ def test_gaussians_of_any_degree_are_read(tmp_path: Path, degree: int) -> None:
     source = {f"f_rest_{c * count + k}": f"f_rest_{c * 15 + k}" for c in range(3) for k in range(count)}
     columns = [names.index(source.get(name, name)) for name in properties(parts)]
     write_ply(tmp_path / "a.ply", whole[:, columns], parts)
-    rows, found = read_any(tmp_path / "a.ply")
+    rows, found, _ = read_any(tmp_path / "a.ply")
     assert found == degree
     kept = [i for i, name in enumerate(names) if name in (*parts["rest"], *source.values())]
     np.testing.assert_array_equal(rows[:, kept], whole[:, kept])

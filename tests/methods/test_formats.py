@@ -10,6 +10,7 @@ import struct
 import subprocess
 import sys
 import time
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,8 +24,10 @@ from scipy.spatial import cKDTree
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.econgs.splat.sh import spherical_harmonics
 from econgs_bench.econgs.splat.torch_backend import rotations
+from econgs_bench.methods import formats
 from econgs_bench.methods.formats import glb, integer, ply, sog, spz, zstd
 from econgs_bench.methods.formats.gaussians import (
+    COEFFICIENTS,
     LEFT_UP_FRONT,
     RIGHT_UP_BACK,
     degree_of,
@@ -32,6 +35,7 @@ from econgs_bench.methods.formats.gaussians import (
     scene_of,
     tables,
 )
+from econgs_bench.methods.gaussian_splatting.ply import PARTS, properties, write_ply
 from econgs_bench.methods.interface import Refused
 from econgs_bench.methods.shared.decoders import own_streams
 
@@ -119,7 +123,7 @@ def test_plain_numbers_are_kept(tmp_path):
         file = tmp_path / f"a{READ_AND_WRITTEN[name].SUFFIX}"
         parts = READ_AND_WRITTEN[name].write(file, scene)
         assert sum(parts.values()) == file.stat().st_size
-        off = differences(tables(scene), READ_AND_WRITTEN[name].read(file))
+        off = differences(tables(scene), READ_AND_WRITTEN[name].read(file).tables)
         assert off.pop("quats") < 3e-7  # brought to length 1 once more
         assert not any(off.values())
     assert max(differences(tables(scene), of_gsply(gsply.plyread(tmp_path / "a.ply"))).values()) == 0.0
@@ -128,9 +132,102 @@ def test_plain_numbers_are_kept(tmp_path):
 def test_spz_keeps_its_steps(tmp_path):
     file, values = tmp_path / "a.spz", tables(asymmetric())
     assert spz.write(file, asymmetric()) == {"file": file.stat().st_size}
-    within_spz(values, spz.read(file))
+    within_spz(values, spz.read(file).tables)
     spz.write(file, asymmetric(), spz.FINEST)
-    assert differences(values, spz.read(file))["sh_rest"] <= 0.5 / 128 + 1e-6
+    assert differences(values, spz.read(file).tables)["sh_rest"] <= 0.5 / 128 + 1e-6
+
+
+@pytest.mark.parametrize("name", ["ply", "zstd", "spz", "sog"])
+def test_a_file_says_for_which_viewers_it_is(tmp_path, name):
+    form = READ_AND_WRITTEN[name]
+    versions = [{"version": 3}, {"version": 4}] if name == "spz" else [{}]
+    for more in versions:
+        file = tmp_path / f"a{form.SUFFIX}"
+        for marked, viewer in ((True, "antialiased"), (False, "plain")):
+            parts = form.write(file, asymmetric(40), antialiased=marked, **more)
+            assert sum(parts.values()) == file.stat().st_size
+            assert form.read(file).viewer == viewer
+
+
+def test_formats_without_a_mark_are_written_the_same(tmp_path):
+    for form in (glb, integer):
+        found = set()
+        for marked in (True, False):
+            form.write(tmp_path / "x", asymmetric(40), antialiased=marked)
+            found.add((tmp_path / "x").read_bytes())
+        assert len(found) == 1
+
+
+def with_contents(file, change):
+    """Change the table of contents of a SOG."""
+    with zipfile.ZipFile(file) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    about = json.loads(members["meta.json"])
+    members["meta.json"] = json.dumps(change(about)).encode()
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+    return about
+
+
+def test_marks_of_other_programs_are_read(tmp_path):
+    file = tmp_path / "a.sog"
+    sog.write(file, asymmetric(40))
+    assert not with_contents(file, lambda about: about | {"antialias": True}).keys() & {"antialias", "model"}
+    assert sog.read(file).antialiased
+    for entries, antialiased in (
+        ({"model": "antialiased"}, True),
+        ({"model": "2dgs", "antialias": True}, False),
+        ({"antialias": False}, False),
+        ({"antialias": "no"}, False),
+    ):
+        with_contents(file, lambda about, own=entries: {
+            name: one for name, one in about.items() if name not in ("antialias", "model")
+        } | own)  # fmt: skip
+        assert sog.read(file).antialiased == antialiased
+    sog.write(file, asymmetric(40), antialiased=True)
+    about = with_contents(file, dict)
+    assert (about["antialias"], about["model"]) == (True, "antialiased")
+
+    file = tmp_path / "a.ply"
+    ply.write(file, asymmetric(40), antialiased=True)
+    own = b"comment SplatRenderMode: mip\n"
+    assert own in file.read_bytes()
+    for lines, antialiased in (
+        (b"comment splatrendermode:  MIP\n", True),
+        (b"comment SplatRenderMode: default\n", False),
+        (b"comment antialiased 1\n", True),
+        (b"comment postshot.anti_aliasing=1\n", True),
+        (b"comment postshot.anti_aliasing=0\n", False),
+        (b"comment antialiased 1\ncomment SplatRenderMode: default\n", False),
+        (b"comment is antialiased 1\n", False),
+    ):
+        ply.write(file, asymmetric(40), antialiased=True)
+        file.write_bytes(file.read_bytes().replace(own, lines))
+        assert ply.read(file).antialiased == antialiased, lines
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2])
+def test_a_ply_of_another_trainer_is_read(tmp_path, degree):
+    """Without normals, and with no more coefficients than its degree has."""
+    scene, many = asymmetric(40, degree=degree), COEFFICIENTS[degree]
+    kept = [f"f_rest_{15 * channel + place}" for channel in range(3) for place in range(many)]
+    parts = {part: names for part, names in PARTS.items() if part not in ("normals", "sh_rest")}
+    places = [properties(PARTS).index(name) for name in (*properties(parts), *kept)]
+    names = parts | ({"sh_rest": PARTS["sh_rest"][: 3 * many]} if many else {})
+    write_ply(tmp_path / "a.ply", scene.rows()[:, places], names)
+    off = differences(tables(scene), ply.read(tmp_path / "a.ply").tables)
+    assert off.pop("quats") < 3e-7
+    assert not any(off.values())
+
+
+@pytest.mark.parametrize("suffix", [".splat", ".ksplat", ".GLB"])
+def test_splats_that_cannot_be_read_are_refused_with_those_that_can(tmp_path, suffix):
+    with pytest.raises(DataError, match=r"Convert it to one of \.ply, \.spz, \.sog"):
+        formats.refuse_unread(tmp_path / f"a{suffix}")
+    for name in ("a.ply", "a.vti", "a"):
+        formats.refuse_unread(tmp_path / name)
+    assert set(formats.READ) <= {form.SUFFIX for form in READ_AND_WRITTEN.values()}
 
 
 def test_spz_is_the_same_at_any_time(tmp_path, monkeypatch):
@@ -160,7 +257,7 @@ def test_both_versions_of_spz_hold_the_same(tmp_path, degree):
     assert start == len(data)
     assert b"".join(plain) == gzip.decompress(third.read_bytes())[16:]
     with own_streams():
-        assert not max(differences(spz.read(third), spz.read(fourth)).values())
+        assert not max(differences(spz.read(third).tables, spz.read(fourth).tables).values())
         for broken in (
             data[:40],
             data[:-9],
@@ -213,7 +310,7 @@ def test_positions_in_spz_fit_scenes_of_any_size(tmp_path):
         assert spz.fraction_bits(means) == bits
         scene = replace(asymmetric(1), means=torch.from_numpy(means))
         spz.write(tmp_path / "a.spz", scene)
-        off = np.abs(spz.read(tmp_path / "a.spz")["means"] - means).max()
+        off = np.abs(spz.read(tmp_path / "a.spz").tables["means"] - means).max()
         assert off <= 0.5 / 2.0**bits + 1e-7 * size
 
 
@@ -221,7 +318,7 @@ def test_sog_is_read_by_another_program(tmp_path):
     file, values = tmp_path / "a.sog", tables(asymmetric())
     parts = sog.write(file, asymmetric())
     assert sum(parts.values()) == file.stat().st_size
-    own = sog.read(file)
+    own = sog.read(file).tables
     within_sog(values, paired(values, own))
     found = of_gsply(gsply.sogread(str(file)))
     assert max(differences(own, found).values()) < 1e-5
@@ -234,7 +331,7 @@ def test_integers_keep_their_steps(tmp_path):
         parts = integer.write(file, scene, factor)
         assert sum(parts.values()) == file.stat().st_size
         sizes.append(file.stat().st_size)
-        read = paired(values, integer.read(file))
+        read = paired(values, integer.read(file).tables)
         cell = factor * integer.CELL * math.exp(np.median(values["log_scales"].mean(1)))
         assert differences(values, read)["means"] <= 0.51 * cell
         assert differences(values, read)["logits"] <= 0.51 * factor * integer.STEPS["logits"]
@@ -252,7 +349,7 @@ def test_fine_integers_are_the_same_ellipsoids(tmp_path):
     scene, file = asymmetric(), tmp_path / f"a{integer.SUFFIX}"
     integer.write(file, scene, 1e-3)
     values = tables(scene)
-    read = paired(values, integer.read(file))
+    read = paired(values, integer.read(file).tables)
     expected = covariances(values["quats"], values["log_scales"])
     found = covariances(read["quats"], read["log_scales"])
     assert np.abs(found - expected).max() < 1e-3 * np.abs(expected).max()
@@ -379,7 +476,7 @@ def test_the_viewers_tool_reads_and_writes_the_same(convert, tmp_path, name, ver
         tmp_path / f"theirs{form.SUFFIX}",
         *(["--spz-version", str(version)] if name == "spz" else []),
     )
-    theirs = paired(values, form.read(tmp_path / f"theirs{form.SUFFIX}"))
+    theirs = paired(values, form.read(tmp_path / f"theirs{form.SUFFIX}").tables)
     if name == "spz":
         within(values, theirs)
     else:  # its codebooks come from fewer rounds
@@ -428,7 +525,7 @@ def test_nothing_and_a_single_gaussian(tmp_path, name, count):
     form = READ_AND_WRITTEN[name]
     file = tmp_path / f"scene{form.SUFFIX}"
     form.write(file, asymmetric(count))
-    read = form.read(file)
+    read = form.read(file).tables
     assert len(read["means"]) == count
     assert np.abs(read["means"] - asymmetric(count).means.numpy()).max(initial=0.0) < 1e-2
 
@@ -444,7 +541,7 @@ def test_lower_degrees_take_fewer_bytes(tmp_path):
             sizes.append((tmp_path / "x").stat().st_size)
         assert sizes[1] < 0.6 * sizes[0]
     spz.write(tmp_path / "x", flat)
-    assert not spz.read(tmp_path / "x")["sh_rest"].any()
+    assert not spz.read(tmp_path / "x").tables["sh_rest"].any()
 
 
 def test_what_cannot_be_seen_is_left_out():

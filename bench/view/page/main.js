@@ -116,6 +116,7 @@ async function loop() {
 function facts(rate) {
   const rows = [], own = source(layers[0]), names = scenes.of(own);
   if (own.bytes !== null) rows.push(["size", bytes(own.bytes)]);
+  if (own.viewer) rows.push(["drawn as in", `${own.viewer} viewers`]);
   if (own.model) {
     const count = own.scenes.filter((one) => names.includes(one.name)).reduce((sum, one) => sum + one.primitives, 0);
     rows.push(["primitives", count.toLocaleString("en")]);

@@ -178,7 +178,8 @@ def test_what_cannot_be_looked_at_is_refused_with_a_remedy(tmp_path: Path) -> No
     broken.write_bytes(b"ply\nnonsense")
     assert "broken.ply" in refusal(str(broken))
     (tmp_path / "model.glb").write_bytes(b"glTF")
-    assert "is written, not read" in refusal(str(tmp_path / "model.glb"))
+    assert "splats in .glb are not read" in refusal(str(tmp_path / "model.glb"))
+    assert ".ply, .spz, .sog" in refusal(str(tmp_path / "model.splat"))
     assert "no run store" in refusal("encode-0123456789abcdef")
     assert "Did you mean vortices" in refusal("vorticez")
     (tmp_path / "empty").mkdir()
@@ -191,6 +192,7 @@ def test_an_exported_file_and_a_dataset_are_looked_at(tmp_path: Path) -> None:
     first, second = found([str(file), "vortices@32"], tmp_path, (), "cpu")
     assert first.open().about()["splats"]
     assert first.open().scenes == ("model",)
+    assert first.open().about()["viewer"] == "plain"
     about = second.open().about()
     assert (about["model"], about["truth"], about["splats"]) == (False, True, False)
     assert [scene["name"] for scene in about["scenes"]][:2] == ["cores", "sheaths"]
