@@ -231,6 +231,7 @@ def check(method: str, name: str, option: Option, value: OptionValue) -> OptionV
     return converted
 
 
+_MOST = 2**63  # records hold whole numbers below it
 _KINDS = {bool: "true or false", int: "a whole number", float: "a finite number", str: "a text"}
 
 
@@ -247,13 +248,13 @@ def _convert(like: OptionValue, value: OptionValue) -> OptionValue | None:
         return None
     try:
         number = float(value)
-    except ValueError:
+    except (TypeError, ValueError, OverflowError):  # TOML has lists and dates too
         return None
     if not math.isfinite(number):
         return None
     if isinstance(like, float):
         return number
-    return int(number) if number == int(number) else None
+    return int(number) if number == int(number) and abs(number) < _MOST else None
 
 
 def written(value: OptionValue) -> str:

@@ -126,6 +126,12 @@ class Planner:
         for name in self._selection.overrides:
             if name not in names:
                 raise unknown("method", name, names, of="this run (--set)")
+        suite = self._selection.suite
+        known = {*names, *suite.methods, *suite.optional, *self.registry.names()}
+        for variant in suite.variants:
+            for name in variant:
+                if name not in known:
+                    raise unknown("method", name, sorted(known), of=f"suite {suite.name} (variants)")
         return specs
 
     def _variants(self) -> Iterator[tuple[MethodSpec, Settings, list[float | None]]]:

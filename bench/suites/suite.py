@@ -135,7 +135,7 @@ class Suite:
     presets: Mapping[str, ViewPreset] = field(default_factory=dict)
     variants: Annotated[tuple[Mapping[str, Mapping[str, Any]], ...], Field(min_length=1)] = ({},)
     rates: Literal["default", "all"] = "default"
-    lengths: tuple[Annotated[float, Field(strict=True, gt=0.0)], ...] = ()
+    lengths: tuple[Annotated[float, Field(strict=True, gt=0.0, le=1000.0)], ...] = ()
     compositions: Annotated[Any, AfterValidator(_compositions)] = ()
     dvr: StrictBool = False
     parsimony: StrictBool = False

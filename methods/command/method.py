@@ -503,7 +503,10 @@ class CommandMethod:
             try:
                 iteration = min(int(groups["iteration"]), budget.iterations)
                 losses = {"loss": float(groups["loss"])} if groups.get("loss") else {}
-                count = int(groups["primitives"]) if groups.get("primitives") else count
+                primitives = int(groups["primitives"]) if groups.get("primitives") else count
+                if not 0 <= primitives < 2**63:
+                    return
+                count = primitives
             except (ValueError, TypeError):  # a line that looks alike
                 return
             monitor.progress(max(1, iteration), losses, count)
@@ -662,7 +665,7 @@ def _pictures(folder: Path, glob: str, cameras: Sequence[Camera], what: str) -> 
             "Draw each camera once; `pictures` says where",
         )  # fmt: skip
     found.sort(
-        key=lambda path: [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", str(path))]
+        key=lambda path: [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", str(path))]
     )
     for path, camera in zip(found, cameras, strict=True):
         name = path.relative_to(folder)

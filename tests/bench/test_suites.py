@@ -124,6 +124,18 @@ def test_lengths_are_further_fits_of_trained_methods_at_their_own_rate(dataset, 
     assert sum(job.kind == "partition" for job in plan(volume, methods=("econgs",))) == 2
 
 
+def test_variants_of_a_method_that_is_not_there_are_refused(dataset, tmp_path):
+    suite = suite_file(tmp_path, f'"{dataset}" = ["a"]', "variants = [{}, { 3dgsx.iterations = 20 }]")
+    with pytest.raises(UnknownName, match=r"3dgsx.*3dgs"):
+        plan(suite, methods=("3dgs",))
+
+
+@pytest.mark.parametrize("length", ["1e300", "inf", "nan"])
+def test_a_length_that_is_none_is_refused(dataset, tmp_path, length):
+    with pytest.raises(DataError, match="lengths"):
+        load_suite(suite_file(tmp_path, f'"{dataset}" = ["a"]', f"lengths = [{length}]"))
+
+
 def test_a_group_has_the_iterations_that_its_scenes_ask_for(dataset, tmp_path):
     suite = suite_file(tmp_path, f'"{dataset}" = ["a", "b"]')
 

@@ -17,8 +17,9 @@ import torch
 from econgs_bench import methods
 from econgs_bench.bench.machine.provenance import source_hash
 from econgs_bench.datasets.errors import DataError
+from econgs_bench.datasets.png import write_png
 from econgs_bench.methods.command import command_spec, process
-from econgs_bench.methods.command.method import CommandMethod, CommandModel
+from econgs_bench.methods.command.method import CommandMethod, CommandModel, _pictures
 from econgs_bench.methods.contract.checks import Recorder, files_of
 from econgs_bench.methods.contract.scene import tiny_scene
 from econgs_bench.methods.gaussian_splatting.ply import PARTS, properties, read_any, write_ply
@@ -111,6 +112,24 @@ def test_a_good_program_trains_and_draws(plugin: Path, tmp_path: Path) -> None:
     ):
         with pytest.raises(Refused):
             refused()
+
+
+def test_numbers_of_primitives_that_are_none_are_passed_over(plugin: Path) -> None:
+    program = plugin / "program.py"
+    text = program.read_text()
+    assert 'loss {loss}"' in text
+    program.write_text(text.replace('loss {loss}"', 'loss {loss} of {10**22 if iteration % 2 else -5}"'))
+    spec = spec_of(plugin, r"(?P<loss>\S+)'", r"(?P<loss>\S+) of (?P<primitives>\S+)'")
+    recorder = Recorder([12])
+    fitted(spec, recorder)
+    assert recorder.iterations == [12]  # the last, of the harness itself
+
+
+def test_pictures_may_have_digits_that_are_no_numbers(tmp_path: Path) -> None:
+    for name in ("v_10.png", "v_1²1.png", "v_2.png"):
+        write_png(tmp_path / name, np.zeros((32, 32, 4), np.float32))
+    found = _pictures(tmp_path, "*.png", CAMERAS[:3], "it")
+    assert [path.name for path in found] == ["v_1²1.png", "v_2.png", "v_10.png"]
 
 
 TRAINING = [

@@ -1,4 +1,5 @@
 import json
+from datetime import date
 
 import pytest
 from hypothesis import given, settings
@@ -93,6 +94,9 @@ def test_unknown_names_come_with_near_matches():
         ("opacity_reset", "perhaps", "not true or false"),
         ("opacity_reset", 1, "not true or false"),
         ("iterations", 0, "below the minimum 1"),
+        ("iterations", "1e19", "not a whole number"),
+        ("iterations", date(2020, 1, 1), "not a whole number"),
+        ("sh_degree", [1], "not a whole number"),
     ],
 )
 def test_bad_values_are_refused_with_option_reason_and_meaning(name, value, reason):
