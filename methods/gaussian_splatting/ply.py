@@ -154,7 +154,7 @@ def _places(parts: Parts, prefix: str) -> list[int]:
 class _Header(NamedTuple):
     """Number of vertices, property names in file order, offset and checksum of the data, and the mark."""
 
-    count: int
+    vertices: int
     names: list[str]
     start: int
     checksum: str | None
