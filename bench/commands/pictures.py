@@ -138,10 +138,10 @@ def _render(options: Namespace, dataset_name: str) -> None:
         step(doing)
         drawn = partial(step, doing)
         truth = None
-        if options.truth or model is None:
-            truth = views_of(dataset, name, request, edit=edit, progress=drawn)
-        psnr = []
+        psnr: list[float] = []
         with _replacing(folder) as aside:
+            if options.truth or model is None:
+                truth = views_of(dataset, name, request, edit=edit, progress=drawn)
             if truth is not None:
                 beside = aside if model is None else aside / "truth"
                 beside.mkdir(exist_ok=True)
