@@ -103,15 +103,15 @@ def truth_of(store: Store, job_id: str, scene: str) -> tuple[Record, Truth]:
     raise DataError(job_id, f"the store lacks the training views of {scene}", "Use the store that it ran in")
 
 
-def seen(store: Store, job_id: str, scene: str) -> tuple[Sequence[Camera], RGB, Truth]:
-    """Training cameras of a job's fit, background and views of a scene.
+def seen(store: Store, job_id: str, scene: str) -> tuple[Sequence[Camera], RGB, Truth, Split]:
+    """Training cameras of a job's fit, background and views of a scene, and the split that is measured.
 
     Raises:
         DataError: they are not in the store.
     """
     record, truth = truth_of(store, job_id, scene)
     split: Split = "train" if record.job.split == "val" else "trainval"
-    return truth.cameras(split), truth.scene().background, truth
+    return truth.cameras(split), truth.scene().background, truth, measured_split(record.job)
 
 
 def measured_split(job: Job) -> Split:

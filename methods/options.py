@@ -231,7 +231,8 @@ def check(method: str, name: str, option: Option, value: OptionValue) -> OptionV
     return converted
 
 
-_MOST = 2**63  # records hold whole numbers below it
+BEYOND = 2**63
+"""Whole numbers in records are smaller."""
 _KINDS = {bool: "true or false", int: "a whole number", float: "a finite number", str: "a text"}
 
 
@@ -254,7 +255,7 @@ def _convert(like: OptionValue, value: OptionValue) -> OptionValue | None:
         return None
     if isinstance(like, float):
         return number
-    return int(number) if number == int(number) and abs(number) < _MOST else None
+    return int(number) if number == int(number) and abs(number) < BEYOND else None
 
 
 def written(value: OptionValue) -> str:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import uuid
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from econgs_bench.bench.commands.arguments import add_device, add_runs, add_stored, iterations
 from econgs_bench.bench.run.plugins import plugin_folders
-from econgs_bench.bench.saved import bytes_of, load, measured_split, picture, seen, truth_of
-from econgs_bench.bench.store.store import Store, write_text
+from econgs_bench.bench.saved import bytes_of, load, picture, seen
+from econgs_bench.bench.store.store import Store, aside_of, write_text
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.names import unknown
 from econgs_bench.reports.progress import step
@@ -69,7 +67,7 @@ def export(options: Namespace) -> int:
     step(f"loading {options.model}")
     method, scenes, _, model = load(store, options.model, folders, options.device)
     scene = _scene(options, scenes, model)
-    cameras, background, views = _seen(store, options.model, scene)
+    cameras, background, views, split = _seen(store, options.model, scene)
     viewer, stages = _plain(model, scene, cameras, background, options)
     gaussians = next(reversed(stages.values()))
     step(f"writing {options.out}")
@@ -77,9 +75,9 @@ def export(options: Namespace) -> int:
     rows = [(f"{method}, as it is", bytes_of(store, options.model, scene), model)]
     rows += [(title, one.rows().nbytes, _model(one)) for title, one in stages.items() if title]
     rows.append((options.out, written, _model(_read(target, name, gaussians))))
-    count = f"{len(views.cameras)} {_split(store, options.model, scene)} views"
     print(
-        f"PSNR [dB] in {count} of {scene}: against the truth in {viewer} viewers,\n"
+        f"PSNR [dB] in {len(views.cameras)} {split} views of {scene}: "
+        f"against the truth in {viewer} viewers,\n"
         "and against the model's own pictures at several sizes in both kinds of viewers"
     )
     heads = "  ".join(
@@ -133,8 +131,8 @@ def _target(out: str, name: str) -> Path:
         if target.exists() and not target.is_file():
             raise DataError(out, "is a device or a pipe, which would be replaced by a file", "Name a file")
         target.parent.mkdir(parents=True, exist_ok=True)
-        with _part(target) as part:
-            _tried(part, name)
+        with aside_of(target) as aside:
+            _tried(aside, name)
     except Refused as error:
         raise DataError(out, str(error), "Install it, or choose another format") from error
     except (OSError, RuntimeError) as error:  # the latter is a circle of links, to Python before 3.13
@@ -143,28 +141,18 @@ def _target(out: str, name: str) -> Path:
     return target
 
 
-def _tried(part: Path, name: str) -> None:
+def _tried(aside: Path, name: str) -> None:
     """Write a scene without Gaussians, so that what a format needs is missed now; a page needs nothing."""
     import numpy as np
 
     from econgs_bench.methods.formats.gaussians import SHAPES, scene_of
 
     if name == "html":
-        part.touch()
+        aside.touch()
         return
     none = {one: np.zeros((0, *shape), np.float32) for one, shape in SHAPES.items()}
     scene = scene_of(none, "", (0.0, 0.0, 0.0), 0)
-    import_module(f"econgs_bench.methods.formats.{name}").write(part, scene)
-
-
-@contextmanager
-def _part(target: Path) -> Iterator[Path]:
-    """A file beside another, which takes its place when it is whole; it is gone at the end."""
-    part = target.with_name(f".{target.name}.{uuid.uuid4().hex}")
-    try:
-        yield part
-    finally:
-        part.unlink(missing_ok=True)
+    import_module(f"econgs_bench.methods.formats.{name}").write(aside, scene)
 
 
 def _page(target: Path, options: Namespace) -> int:
@@ -187,21 +175,21 @@ def _page(target: Path, options: Namespace) -> int:
     page = page_of(store, options.model, opened, scenes)
     step(f"writing {options.out}")
     write_text(target, page.text)
-    split = _split(store, options.model, scenes[0])
-    print(f"PSNR [dB] in up to {_MEASURED} {split} views; the page at 16 bits, drawn here")
-    print(f"{'model, truth':>12} {'page, truth':>12} {'page, model':>12}")
+    means = []
     for scene in scenes:
-        views = _seen(store, options.model, scene)[2]
+        _, _, views, split = _seen(store, options.model, scene)
         rows: list[list[float]] = []
         for camera, image in zip(views.cameras, views.images, strict=True):
             step(f"measuring {scene}", len(rows), len(views.cameras))
             own, shown = (picture(one, camera, [scene], {}, views.background) for one in (model, page.model))
             pairs = ((image, own), (image, shown), (premultiplied(*own, views.background), shown))
             rows.append([
-                float(evaluate(target, *drawn, views.background, ["psnr"]).values["psnr"] or 0.0)
-                for target, drawn in pairs
+                float(evaluate(expected, *drawn, views.background, ["psnr"]).values["psnr"] or 0.0)
+                for expected, drawn in pairs
             ])  # fmt: skip
-        print(" ".join(f"{value:12.2f}" for value in np.mean(rows, axis=0)), f" {scene}")
+        means.append(" ".join(f"{value:12.2f}" for value in np.mean(rows, axis=0)) + f"  {scene}")
+    print(f"PSNR [dB] in up to {_MEASURED} {split} views; the page at 16 bits, drawn here")
+    print(f"{'model, truth':>12} {'page, truth':>12} {'page, model':>12}", *means, sep="\n")
     size = target.stat().st_size
     times = f"{size / page.half:.2f} times the Gaussians at 16 bits ({page.half:,})"
     print(f"{options.out}: {size:,} bytes, {times}")
@@ -219,17 +207,11 @@ def _scene(options: Namespace, scenes: Sequence[str], model: Model) -> str:
     return scenes[0]
 
 
-def _seen(store: Store, job: str, scene: str) -> tuple[Sequence[Camera], RGB, ViewSet]:
-    """Cameras that a job's fit saw of a scene, its background, and the views that are measured."""
-    cameras, background, truth = seen(store, job, scene)
-    split = _split(store, job, scene)
+def _seen(store: Store, job: str, scene: str) -> tuple[Sequence[Camera], RGB, ViewSet, Split]:
+    """Cameras that a job's fit saw of a scene, its background, the views that are measured, their split."""
+    cameras, background, truth, split = seen(store, job, scene)
     count = len(truth.cameras(split))
-    return cameras, background, truth.views(split, range(0, count, max(1, -(-count // _MEASURED))))
-
-
-def _split(store: Store, job: str, scene: str) -> Split:
-    """The views of a scene that are measured."""
-    return measured_split(truth_of(store, job, scene)[0].job)
+    return cameras, background, truth.views(split, range(0, count, max(1, -(-count // _MEASURED)))), split
 
 
 def _plain(
@@ -265,11 +247,11 @@ def _plain(
 def _written(target: Path, name: str, gaussians: SceneGaussians, viewer: str, spz_version: int | None) -> int:
     """Write the file whole, or not at all; its bytes."""
     more = {"version": spz_version} if spz_version else {}
-    with _part(target) as part:
+    with aside_of(target) as aside:
         import_module(f"econgs_bench.methods.formats.{name}").write(
-            part, gaussians, antialiased=viewer == "antialiased", **more
+            aside, gaussians, antialiased=viewer == "antialiased", **more
         )
-        part.replace(target)
+        aside.replace(target)
     return target.stat().st_size
 
 

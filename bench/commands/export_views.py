@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
-import uuid
 from argparse import ArgumentParser, Namespace
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from econgs_bench.bench.commands.arguments import add_samples, count, repeatable, seed, size
+from econgs_bench.bench.store.store import aside_of
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.reports.progress import step
 
@@ -72,14 +71,11 @@ def export_views(options: Namespace) -> int:
             dataset, scene, preset.cloud_points, derived_seed("cloud", dataset.name, scene.name, options.seed)
         )
         out.mkdir(parents=True, exist_ok=True)
-        aside = out / f".{scene.name}.{uuid.uuid4().hex}"
-        try:
+        with aside_of(out / scene.name) as aside:
             (aside / "test_cameras").mkdir(parents=True)
             write_training(aside, options.format, train, cloud, scene, options.pictures)
             write_cameras(aside / "test_cameras", options.format, cameras, cloud)
             aside.rename(out / scene.name)
-        finally:
-            shutil.rmtree(aside, ignore_errors=True)
         counts = f"{len(train)} training views, {len(cameras)} test cameras, {len(cloud)} points"
         print(f"{out / scene.name}: {counts}")
     return 0

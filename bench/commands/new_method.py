@@ -5,12 +5,11 @@ from __future__ import annotations
 import importlib.util
 import keyword
 import os
-import shutil
 import sys
-import uuid
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
+from econgs_bench.bench.store.store import aside_of
 from econgs_bench.datasets.errors import DataError
 
 
@@ -37,14 +36,11 @@ def new_method(options: Namespace) -> int:
     _check(name, "" if options.commands else package)
     content = command_files(name) if options.commands else files(name, package)
     folder.parent.mkdir(parents=True, exist_ok=True)
-    aside = folder.with_name(f".{package}.{uuid.uuid4().hex}")
-    try:
+    with aside_of(folder) as aside:
         for path, text in content.items():
             (aside / path).parent.mkdir(parents=True, exist_ok=True)
             (aside / path).write_text(text, encoding="utf-8")
         os.rename(aside, folder)
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
     place = os.path.relpath(folder)
     place = str(folder) if place.startswith(os.pardir) else place
     where = "commands go into command.toml" if options.commands else f"code goes into {package}/method.py"

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import re
-import shutil
 import sys
-import uuid
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -26,7 +24,7 @@ from econgs_bench.bench.commands.arguments import (
 from econgs_bench.bench.jobs.measure import premultiplied
 from econgs_bench.bench.run.plugins import plugin_folders
 from econgs_bench.bench.saved import load, pictures
-from econgs_bench.bench.store.store import Store
+from econgs_bench.bench.store.store import Store, aside_of
 from econgs_bench.datasets.colors import hex_color
 from econgs_bench.datasets.errors import DataError
 from econgs_bench.datasets.names import unknown
@@ -182,9 +180,8 @@ def _replacing(folder: Path) -> Iterator[Path]:
 
     Files of other names stay, and everything where drawing fails: two calls never mix.
     """
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    aside = folder.with_name(f".{folder.name}.{uuid.uuid4().hex}")
-    try:
+    folder.mkdir(parents=True, exist_ok=True)
+    with aside_of(folder) as aside:
         aside.mkdir()
         yield aside
         for place in (folder, folder / "truth"):
@@ -195,8 +192,6 @@ def _replacing(folder: Path) -> Iterator[Path]:
             target = folder / new.relative_to(aside)
             target.parent.mkdir(parents=True, exist_ok=True)
             new.replace(target)
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
 
 
 def _model(options: Namespace) -> tuple[Model, tuple[str, ...]]:

@@ -20,7 +20,6 @@ import os
 import shutil
 import struct
 import tempfile
-import uuid
 import zipfile
 import zlib
 from collections.abc import Collection, Iterable, Iterator
@@ -34,7 +33,7 @@ from econgs_bench.bench.results.rungs import FILE, ladders_of
 from econgs_bench.bench.results.tables import stored_tables
 from econgs_bench.bench.results.verification import Evidence, absences, contradictions
 from econgs_bench.bench.store.records import SCHEMA, Provenance, Record
-from econgs_bench.bench.store.store import LONGEST, Store, folder_bytes, read_record
+from econgs_bench.bench.store.store import LONGEST, Store, aside_of, folder_bytes, read_record
 from econgs_bench.bench.suites.ladders import Ladder
 from econgs_bench.datasets.bounded import (
     decompress_xz,
@@ -85,8 +84,7 @@ def write_bundle(store: Store, out: Path, *, models: bool = False) -> int:
         raise DataError(store.root, "holds no finished job", "Run a suite first")
     files: dict[str, dict[str, Any]] = {}
     out.parent.mkdir(parents=True, exist_ok=True)
-    aside = out.with_name(f".{out.name}.{uuid.uuid4().hex}")
-    try:
+    with aside_of(out) as aside:
         with _written(aside, xz=out.suffix == ".xz") as archive:
             for name, data in _contents(store, records, models):
                 archive.writestr(name, data)
@@ -99,8 +97,6 @@ def write_bundle(store: Store, out: Path, *, models: bool = False) -> int:
             }
             archive.writestr(MANIFEST, json.dumps(manifest, indent=1) + "\n")
         os.replace(aside, out)
-    finally:
-        aside.unlink(missing_ok=True)
     return len(records)
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import uuid
 from collections.abc import Collection, Iterable, Mapping
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
@@ -23,7 +22,7 @@ from econgs_bench.bench.results.rungs import ladders_of, rungs_of
 from econgs_bench.bench.results.versions import changes, elected, scene_choices
 from econgs_bench.bench.store.lineage import Lineage
 from econgs_bench.bench.store.records import Job, Record, Row
-from econgs_bench.bench.store.store import Store
+from econgs_bench.bench.store.store import Store, aside_of
 from econgs_bench.bench.suites.ladders import Ladder
 from econgs_bench.datasets.catalogue.entries import built_in, entry, is_procedural, members
 from econgs_bench.reports import comparability
@@ -62,12 +61,9 @@ def build_tables(
                 leftover.unlink(missing_ok=True)
             for name, table in tables.items():
                 target = store.tables / f"{name}.parquet"
-                aside = target.with_name(f".{name}.{uuid.uuid4().hex}")
-                try:
+                with aside_of(target) as aside:
                     table.to_parquet(aside, index=False)
                     os.replace(aside, target)
-                finally:
-                    aside.unlink(missing_ok=True)
     return joined(tables)
 
 

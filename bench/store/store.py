@@ -18,7 +18,7 @@ import os
 import shutil
 import uuid
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -276,17 +276,30 @@ def _neither_files_nor_folders(root: Path) -> Iterator[os.DirEntry[str]]:
                     yield entry
 
 
+@contextmanager
+def aside_of(path: Path) -> Iterator[Path]:
+    """A free, hidden name beside a file or folder, to be written there and renamed when it is whole.
+
+    What has the name at the end, whole or not, is removed.
+    """
+    aside = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+    try:
+        yield aside
+    finally:
+        if aside.is_dir():
+            shutil.rmtree(aside, ignore_errors=True)
+        else:
+            aside.unlink(missing_ok=True)
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a file atomically: after a crash or power cut it is whole or as before."""
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
-    try:
-        with temporary.open("w", encoding="utf-8") as file:
+    with aside_of(path) as aside:
+        with aside.open("w", encoding="utf-8") as file:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+        os.replace(aside, path)
     _sync(path.parent)
 
 

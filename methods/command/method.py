@@ -42,6 +42,7 @@ from econgs_bench.methods.interface import (
     SceneInput,
     edits_by_scene,
 )
+from econgs_bench.methods.options import BEYOND
 from econgs_bench.methods.shared.edits import triple
 from econgs_bench.methods.shared.sealed import read_facts, write_facts
 
@@ -504,7 +505,7 @@ class CommandMethod:
                 iteration = min(int(groups["iteration"]), budget.iterations)
                 losses = {"loss": float(groups["loss"])} if groups.get("loss") else {}
                 primitives = int(groups["primitives"]) if groups.get("primitives") else count
-                if not 0 <= primitives < 2**63:
+                if not 0 <= primitives < BEYOND:
                     return
                 count = primitives
             except (ValueError, TypeError):  # a line that looks alike

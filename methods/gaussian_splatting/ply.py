@@ -178,9 +178,9 @@ def _parse_header(path: Path, head: bytes, columns: tuple[str, ...]) -> _Header:
         match words:
             case ["comment", name, digits] if name == _SUM:
                 checksum = digits
-            case ["comment", *mode] if tuple(word.lower() for word in mode) in _MODES:  # the last one counts
-                antialiased = _MODES[tuple(word.lower() for word in mode)]
-            case [] | ["comment" | "obj_info", *_]:
+            case ["comment", *mode]:  # the last one counts
+                antialiased = _MODES.get(tuple(word.lower() for word in mode), antialiased)
+            case [] | ["obj_info", *_]:
                 pass
             case ["format", "binary_little_endian", "1.0"]:
                 pass

@@ -234,7 +234,7 @@ def test_folders_that_cannot_be_written_are_one_line(tmp_path, monkeypatch, caps
     render = ["render", "shells@16", "--scene", "core", "--views", "1", "--size", "8"]
     _refusal(render, capsys, "cannot be written (Not a directory). Set BENCH_CACHE to another folder")
     monkeypatch.setenv("BENCH_CACHE", str(tmp_path / "cache"))
-    _refusal([*render, "--out", inside], capsys, f"{inside}/shells@16: Not a directory. Check that")
+    _refusal([*render, "--out", inside], capsys, f"{inside}/shells@16/core: Not a directory. Check that")
     with pytest.raises(NotADirectoryError):
         main([*render, "--out", inside, "--debug"])
     _refusal(["run", "quick", "--out", inside], capsys, "cannot be written (Not a directory)")

@@ -19,6 +19,7 @@ let about, painter, layers, scenes, editor;
 let stamp = 0, moved = -1e9, drawn = -1, share = 1, frames = 0, wake = () => {};
 let shown = false; // whether the canvas shows all that the layers hold
 let bookmark = 0;
+let backgroundChosen = false; // by hand
 
 const mode = () => Number(document.querySelector("input[name=mode]:checked").value);
 const used = () => mode() === 0 ? [layers[0]] : layers;
@@ -137,7 +138,6 @@ function facts(rate) {
   say(used().map((one) => one.error).find(Boolean) ?? "");
 }
 facts.rate = 0;
-facts.ground = false; // whether the background was chosen by hand
 
 const bytes = (/** @type {number} */ count) =>
   count < 1 << 20 ? `${(count / 1024).toFixed(1)} KiB` : `${(count / (1 << 20)).toFixed(2)} MiB`;
@@ -156,7 +156,7 @@ async function choose(layer, place, truth = false) {
       editor.show(place, known);
       byId("bookmark").replaceChildren(...known.cameras.map((one, i) =>
         element("option", {value: i, textContent: one.name || `view ${i}`})));
-      if (!facts.ground) byId("background").value = hex(known.background);
+      if (!backgroundChosen) byId("background").value = hex(known.background);
       if (first) {
         if (!known.truth && about.sources.length > 1) byId("right").value = "1";
         stand(0);
@@ -222,7 +222,7 @@ function wire() {
   });
   for (const id of ["split"]) on(id, "input", refresh);
   on("background", "input", () => {
-    facts.ground = true;
+    backgroundChosen = true;
     return layers.some((one) => one.route !== "splats") ? changed() : refresh();
   });
   on("least", "input", () => { byId("leastText").textContent = byId("least").value; changed(); });

@@ -7,7 +7,9 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -23,6 +25,42 @@ from econgs_bench.methods.shared.rendering import Rendering
 HOSTILE = "<img src=x onerror=\"document.title='hit'\">'\"${alert(1)}"
 CAMERAS = cameras_of(4, 0.5 * math.sqrt(3.0), 64, 64)
 EVERY = frozenset({"palette", "opacity", "light", "shading"})
+ENTRY = """title = "a ball"
+[[files]]
+path = "data/ball_24x24x24_uint8.raw"
+variable = "density"
+[[scenes]]
+name = "ball"
+variable = "density"
+light = { ambient = 0.5, direction = [0.0, 0.0, 1.0] }
+[[scenes.bumps]]
+name = "shell"
+range = [0.3, 0.4, 0.5, 0.6]
+color = [0.8, 0.2, 0.1]
+opacity = 0.3
+[[scenes]]
+name = "core"
+variable = "density"
+[[scenes.bumps]]
+name = "core"
+range = [0.7, 0.8, 1.0, 1.0]
+color = "#2040e0"
+opacity = 0.6
+[compositions]
+both = ["ball", "core"]
+"""
+
+
+@pytest.fixture(scope="module")
+def entry(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A TOML file and its volume: values fall off from the middle, 0 to 200 of 255."""
+    folder = tmp_path_factory.mktemp("entry")
+    away = np.linalg.norm(np.stack(np.meshgrid(*[np.linspace(-1, 1, 24)] * 3)), axis=0)
+    (folder / "data").mkdir()
+    values = (200 * np.clip(1 - away, 0, 1)).astype(np.uint8)
+    (folder / "data/ball_24x24x24_uint8.raw").write_bytes(values.tobytes())
+    (folder / "ball.toml").write_text(ENTRY)
+    return folder / "ball.toml"
 
 
 def _common(count: int, seed: int) -> dict[str, torch.Tensor]:

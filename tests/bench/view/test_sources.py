@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,38 +20,15 @@ from econgs_bench.methods.gaussian_splatting.model import GaussianModel
 from tests.bench.conftest import PLUGINS, Bench
 from tests.bench.view.conftest import CAMERAS, Flat, harmonic, source
 
-SCENES = """
-title = "a ball"
-[[files]]
-path = "ball_12x12x12_uint8.raw"
-variable = "density"
-[[scenes]]
-name = "ball"
-variable = "density"
-[[scenes.bumps]]
-name = "inside"
-range = [0.2, 0.3, 0.9, 1.0]
-color = {color}
-opacity = 0.9
-"""
 
+def test_the_truth_of_a_model_is_what_it_learned(entry: Path, tmp_path: Path) -> None:
+    path = shutil.copytree(entry.parent, tmp_path / "own") / "ball.toml"
+    text = path.read_text().replace("opacity = 0.3", "opacity = 0.9")
 
-def _volume(folder: Path, inside: int) -> Path:
-    z, y, x = np.indices((12, 12, 12)) - 5.5
-    ball = np.where(x * x + y * y + z * z < 16, inside, 0).astype(np.uint8)
-    ball.tofile(folder / "ball_12x12x12_uint8.raw")
-    return folder / "ball_12x12x12_uint8.raw"
+    def written(color: str, name: str = "ball") -> None:
+        path.write_text(text.replace("[0.8, 0.2, 0.1]", color).replace('"ball"', f'"{name}"'))
 
-
-def _described(folder: Path, color: str) -> Path:
-    path = folder / "my.toml"
-    path.write_text(SCENES.format(color=color))
-    return path
-
-
-def test_the_truth_of_a_model_is_what_it_learned(tmp_path: Path) -> None:
-    _volume(tmp_path, 200)
-    path = _described(tmp_path, "[1.0, 0.0, 0.0]")
+    written("[1.0, 0.0, 0.0]")
     dataset = open_dataset(str(path))
     learned = {"ball": (dataset.scene("ball"), fingerprint(dataset, "ball"))}
     camera = CAMERAS[0].resized(24, 24)
@@ -60,12 +38,13 @@ def test_the_truth_of_a_model_is_what_it_learned(tmp_path: Path) -> None:
 
     first = drawn()
     assert first[..., 0].max() > 0.3
-    _described(tmp_path, "[0.0, 0.0, 1.0]")
+    written("[0.0, 0.0, 1.0]")
     assert not np.allclose(drawn(), first, atol=0.1)
     np.testing.assert_allclose(drawn(learned=learned), first, atol=1e-6)
-    path.write_text(path.read_text().replace('"ball"', '"renamed"'))
+    written("[0.0, 0.0, 1.0]", "renamed")
     np.testing.assert_allclose(drawn(learned=learned), first, atol=1e-6)
-    _volume(tmp_path, 90)
+    (volume,) = (path.parent / "data").iterdir()
+    volume.write_bytes(bytes(value // 2 for value in volume.read_bytes()))
     with pytest.raises(DataError, match="not the data any more that the model learned as ball"):
         drawn(learned=learned)
 

@@ -22,42 +22,6 @@ from tests.reports.page.browser import executable
 
 BUMP = {"name": "shell", "range": [0.3, 0.4, 0.5, 0.6], "color": [0.8, 0.2, 0.1], "opacity": 0.3}
 TABLES = [{"name": "ball", "variable": "density", "bumps": [BUMP]}]
-ENTRY = """title = "a ball"
-[[files]]
-path = "data/ball_24x24x24_uint8.raw"
-variable = "density"
-[[scenes]]
-name = "ball"
-variable = "density"
-light = { ambient = 0.5, direction = [0.0, 0.0, 1.0] }
-[[scenes.bumps]]
-name = "shell"
-range = [0.3, 0.4, 0.5, 0.6]
-color = [0.8, 0.2, 0.1]
-opacity = 0.3
-[[scenes]]
-name = "core"
-variable = "density"
-[[scenes.bumps]]
-name = "core"
-range = [0.7, 0.8, 1.0, 1.0]
-color = "#2040e0"
-opacity = 0.6
-[compositions]
-both = ["ball", "core"]
-"""
-
-
-@pytest.fixture(scope="module")
-def entry(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A TOML file and its volume: values fall off from the middle, 0 to 200 of 255."""
-    folder = tmp_path_factory.mktemp("entry")
-    away = np.linalg.norm(np.stack(np.meshgrid(*[np.linspace(-1, 1, 24)] * 3)), axis=0)
-    (folder / "data").mkdir()
-    values = (200 * np.clip(1 - away, 0, 1)).astype(np.uint8)
-    (folder / "data/ball_24x24x24_uint8.raw").write_bytes(values.tobytes())
-    (folder / "ball.toml").write_text(ENTRY)
-    return folder / "ball.toml"
 
 
 @pytest.fixture(scope="module")
